@@ -67,7 +67,7 @@ class CriteriaComparison(Report):
     rows: tuple[CriterionRow, ...]
 
     def __getitem__(self, criterion: str) -> CriterionRow:
-        """The row of a criterion by its name.
+        """Return the row of a criterion by its name.
 
         Raises:
             KeyError: no row has this name.
@@ -148,7 +148,7 @@ def compare_criteria(
     """
 
     def asked(criterion: type[Any], words: str, *given: Any, **named: Any) -> tuple[str, Problem]:
-        """A compared criterion's name and problem."""
+        """Return a compared criterion's name and problem."""
         problem = criterion(model, start, *given, horizon=horizon, **named)
         return f"{criterion.__name__}{words}", problem
 

@@ -206,7 +206,7 @@ __all__ = sorted(_ON_DEMAND)
 
 
 def __dir__() -> list[str]:
-    """The public names, whether they have been asked for or not."""
+    """Return the public names, whether they have been asked for or not."""
     return sorted({*globals(), *__all__})
 
 

@@ -115,15 +115,15 @@ class Answers(Report):
     seconds: float  # wall clock, for all
 
     def __len__(self) -> int:
-        """Number of problems."""
+        """Return the number of problems."""
         return len(self.problems)
 
     def __iter__(self) -> Iterator[Answer]:
-        """The answers in the order of the problems."""
+        """Yield the answers in the order of the problems."""
         return iter(self.answers)
 
     def __getitem__(self, place: int) -> Answer:
-        """The answer to a problem by its place."""
+        """Return the answer to a problem by its place."""
         return self.answers[place]
 
     @property
@@ -180,12 +180,12 @@ _FRAME_ONLY = "bound", "gap", "seconds", "error"  # columns that are not printed
 
 
 def _plain(value: Any) -> Any:
-    """A value of an answer's problem for a table."""
+    """Return a value of an answer's problem for a table."""
     return value if value is None or isinstance(value, str) or is_number(value) else in_short(value)
 
 
 def _facts_of(answer: Answer) -> tuple[Any, ...]:
-    """Facts of an answer, as ``_FACTS`` names them; nothing is worked out for it."""
+    """Return the facts of an answer, as ``_FACTS`` names them; nothing is worked out for it."""
     if isinstance(answer, SSPError):
         return *[None] * 6, type(answer).__name__, str(answer)
     bound = answer.lower_bound if answer.upper_bound is None else answer.upper_bound
@@ -273,7 +273,7 @@ def _answers_to(
     workers: int,
     progress: Callable[[int, Answer], None] | None,
 ) -> tuple[Answer, ...]:
-    """The answers of ``solve_many``, in order.
+    """Return the answers of ``solve_many``, in order.
 
     Raises:
         ModelError: a model that cannot be pickled.
@@ -323,7 +323,7 @@ class _Order(NamedTuple):
 
 
 def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
-    """A worker's answer to a problem, packed; None: it cannot see the shipment's file."""
+    """Return a worker's answer to a problem, packed; None: it cannot see the shipment's file."""
     try:
         cargo = unloaded(shipment)
     except OSError:
@@ -369,7 +369,7 @@ class _Crew:
         self._back: SimpleQueue[Future[bytes | None]] = SimpleQueue()
 
     def __enter__(self) -> _Crew:
-        """The crew is there already."""
+        """Return the crew is there already."""
         return self
 
     def __exit__(self, *raised: object) -> None:

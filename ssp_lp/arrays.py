@@ -102,18 +102,18 @@ class ReadOnlyCopies:
 
 
 def least_integer_type(most: int) -> npt.DTypeLike:
-    """The smallest signed integers that hold -2 .. most."""
+    """Return the smallest signed integers that hold -2 .. most."""
     return np.min_scalar_type(-max(most, 2) - 1)
 
 
 def narrow(offsets: IntArray) -> IntArray:
-    """An array of offsets in 32 bits where they fit, to match scipy's columns."""
+    """Return an array of offsets in 32 bits where they fit, to match scipy's columns."""
     fits = int(offsets[-1]) <= np.iinfo(np.int32).max
     return offsets.astype(np.int32, copy=False) if fits else offsets
 
 
 def unsigned(indices: IntArray) -> npt.NDArray[Any]:
-    """An array of non-negative whole numbers viewed as unsigned ones."""
+    """Return an array of non-negative whole numbers viewed as unsigned ones."""
     return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)
 
 
@@ -138,7 +138,7 @@ def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.i
 
 
 def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.int64], IntArray]:
-    """The entries ``offsets[k] : offsets[k + 1]`` of some segments, one after the other.
+    """Return the entries ``offsets[k] : offsets[k + 1]`` of some segments, one after the other.
 
     Returns:
         Them, [entries], and how many each segment has, [segments].
@@ -149,14 +149,14 @@ def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.in
 
 
 def offsets_of(lengths: IntArray) -> IntArray:
-    """An array of offsets: where each of several segments in a row begins, and the end."""
+    """Return an array of offsets: where each of several segments in a row begins, and the end."""
     offsets = np.zeros(len(lengths) + 1, dtype=np.int64)
     np.add.accumulate(lengths, out=offsets[1:])
     return offsets
 
 
 def sorted_unique(values: IntArray) -> IntArray:
-    """The distinct non-negative entries of an array in increasing order, by sorting."""
+    """Return the distinct non-negative entries of an array in increasing order, by sorting."""
     ordered = np.sort(values)
     return ordered[run_starts(ordered)]
 
@@ -169,7 +169,7 @@ def run_starts(values: IntArray) -> BoolArray:
 
 
 def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
-    """The segment ``offsets[k] : offsets[k + 1]`` that each entry lies in, [entries]."""
+    """Return the segment ``offsets[k] : offsets[k + 1]`` that each entry lies in, [entries]."""
     return np.arange(len(offsets) - 1, dtype=np.int32).repeat(offsets[1:] - offsets[:-1])
 
 
@@ -214,7 +214,7 @@ def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) 
 
 
 def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """A weighted sum of an array's columns, without waking the threads of a matrix product.
+    """Return a weighted sum of an array's columns, without waking the threads of a matrix product.
 
     Args:
         columns: [rows, columns]; few columns.
@@ -260,7 +260,7 @@ CHUNK = 1 << 22
 
 
 def chunks(length: int) -> Iterator[slice]:
-    """Slices of at most ``CHUNK`` entries that cover ``0 .. length - 1`` in turn."""
+    """Yield the slices of at most ``CHUNK`` entries that cover ``0 .. length - 1`` in turn."""
     for begin in range(0, length, CHUNK):
         yield slice(begin, min(begin + CHUNK, length))
 

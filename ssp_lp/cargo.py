@@ -118,7 +118,7 @@ class Cargo:
         return stream.getvalue()
 
     def unpack(self, packed: bytes, buffers: Iterable[memoryview] = ()) -> Any:
-        """The problem or answer that was packed, on the models that are known here."""
+        """Return the problem or answer that was packed, on the models that are known here."""
         unpickler = _Unpickler(BytesIO(packed), buffers=buffers)
         unpickler.persistent_load = self._model_at
         return unpickler.load()
@@ -128,7 +128,7 @@ class Cargo:
         self._places[id(self._models.setdefault(place, model))] = place
 
     def _model_at(self, place: int) -> SSP:
-        """A cargo's model, read from the file when it is first asked for."""
+        """Return a cargo's model, read from the file when it is first asked for."""
         if place not in self._models:
             stream, spans = pickle.loads(self._content[place:])  # noqa: S301 (the caller's process)
             buffers = [self._content[begin:end] for begin, end in spans]

@@ -48,7 +48,7 @@ class SSPError(Exception):
     is_of_argument = False  # of a wrong type: whoever passed it on names its own argument instead
 
     def __str__(self) -> str:
-        """The message, arguments as Python code has them."""
+        """Return the message, arguments as Python code has them."""
         return "".join(map(str, self.args))
 
     def __reduce__(self) -> tuple[Callable[..., SSPError], tuple[object, ...], dict[str, object]]:
@@ -154,7 +154,8 @@ def optional_module(name: str, extra: str) -> ModuleType:
 
 
 def wrong_argument(name: str, wanted: str, given: object, hint: str = "") -> ModelError:
-    """The error for an argument of a wrong value: what it must be, what it is, and a hint."""
+    """Return the error for an argument of a wrong value: what it must be, what it is, and a hint.
+    """
     return ModelError(Argument(name), f" must {wanted}, not {in_short(given)}{hint}")
 
 

@@ -248,7 +248,7 @@ class Formulation(Problem):
         return self._on(label, {label.states[k]: float(self._begun[k]) for k in begin.tolist()})
 
     def _on(self, model: SSP, start: Mapping[Hashable, float], horizon: int | None = None) -> Self:
-        """The formulation restated on another model."""
+        """Return the formulation restated on another model."""
         on_it: dict[str, Any] = {"model": model, "start": start, "horizon": horizon}
         return replace(self, **on_it, **as_stated(self))
 
@@ -320,7 +320,7 @@ class Formulation(Problem):
         return start
 
     def compile(self) -> CompiledProblem:
-        """The compiled problem of a formulation: its augmented process, ready for a method.
+        """Return the compiled problem of a formulation: its augmented process, ready for a method.
 
         Costs given success, and whatever is made of the total cost, need the accumulated cost
         (paper, section 3.1.1); everything else the failure label (section 3.1.2). A horizon is

@@ -114,7 +114,8 @@ class Game(_Option):
 
 
 def check_tail(tail: object) -> float:
-    """The game's M as a number; raise :class:`ModelError` unless it is above 0 and finite."""
+    """Return the game's M as a number; raise :class:`ModelError` unless it is above 0 and finite.
+    """
     if not (is_number(tail) and 0.0 < float(tail) < float("inf")):
         raise wrong_argument("tail", "be a total cost above 0", tail)
     return float(tail)
@@ -147,7 +148,7 @@ Method = ColumnGeneration | LinearProgramming | Game | DeterministicPolicies
 
 
 def parse_method(method: Method | str | None) -> Method:
-    """A method option, by itself or by its name; None: column generation.
+    """Return a method option, by itself or by its name; None: column generation.
 
     Raises:
         ModelError: it is neither.

@@ -135,11 +135,11 @@ class Problem(ReadOnlyCopies):
         return Requirements(law, is_risk, semantics.aim, self.ratio, rows, totals, least)
 
     def compile(self) -> CompiledProblem:
-        """The problem compiled: its augmented process, ready for a method."""
+        """Return the problem compiled: its augmented process, ready for a method."""
         raise NotImplementedError
 
     def program(self) -> Any:
-        """The problem's linear program over expected visits.
+        """Return the problem's linear program over expected visits.
 
         Raises:
             ModelError: its class makes none.
@@ -294,7 +294,7 @@ class FailureBudget:
         vars(problem)["_stated_budget"] = None if is_followed else as_float(value)
 
     def __get__(self, problem: Any, owner: type[object]) -> float | None:
-        """The budget; asked of the class, the default: least failure."""
+        """Return the budget; asked of the class, the default: least failure."""
         if problem is None:
             return None
         fields, key, share = vars(problem), "_stated_budget", problem.reach_fraction
@@ -320,7 +320,7 @@ def as_stated(problem: object) -> dict[str, Any]:
 def budget_of_share(
     model: SSP, start: Hashable | Mapping[Hashable, float], reach_fraction: float
 ) -> GoalShare:
-    """A problem's failure budget by a share of the greatest goal probability.
+    """Return a problem's failure budget by a share of the greatest goal probability.
 
     Args:
         model: the model.
@@ -398,7 +398,8 @@ def check_boxed(problem: Problem) -> None:
 
 
 def has_boxes(verb: str) -> ModelError:
-    """The error of a verb that needs one model, for a problem over boxes of probabilities."""
+    """Return the error of a verb that needs one model, for a problem over boxes of probabilities.
+    """
     return ModelError(
         f"{verb} needs one choice of probabilities, and the problem has boxes: pass box= to "
         "evaluate, or solve it and take solution.problem, which has the worst of them"
@@ -422,7 +423,8 @@ def check_measures(problem: Problem) -> None:
 
 
 def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
-    """A problem's limits, and its objective as one; what is no limit is refused elsewhere."""
+    """Return a problem's limits, and its objective as one; what is no limit is refused elsewhere.
+    """
     own, stated = problem.own_constraints, problem.constraints
     limits = {**own, **stated} if isinstance(stated, Mapping) else own
     asked = [(str(name), limit) for name, limit in limits.items() if isinstance(limit, Constraint)]
@@ -476,14 +478,15 @@ def on_one_model(
 
 
 def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
-    """A policy of the problem that is solved, on the states of the problem as stated."""
+    """Return a policy of the problem that is solved, on the states of the problem as stated."""
     while policy.model is not problem.model:
         policy = on_original(policy)
     return policy
 
 
 def as_float(value: Any) -> Any:
-    """A problem's argument as a float, if a fraction or a number of numpy's; else as it is."""
+    """Return a problem's argument as a float, if a fraction or a number of numpy's; else as it is.
+    """
     return value if type(value) in (bool, int, float) or not is_number(value) else float(value)
 
 
@@ -528,7 +531,7 @@ class _InProduct(Policy):
         return self.inner.goes_on
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Decisions of a policy restated on a problem's product, as pairs of that."""
+        """Return the decisions of a policy restated on a problem's product, as pairs of that."""
         product, label = self.model, self.model.failure_label
         branches = self.inner.branches(product.original_state[states], memory)
         kept = branches.kept(memory)
@@ -544,7 +547,8 @@ class _InProduct(Policy):
         return Branches(branches.situation, pair, branches.probability, kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Memory after a step of a policy restated on a problem's product, [episodes]."""
+        """Return the memory after a step of a policy restated on a problem's product, [episodes].
+        """
         pairs, successors, costs = step
         there, pair = self.model.original_state[successors], self.model.original_pair[pairs]
         return self.inner.remember(memory, pair, there, costs)
@@ -562,14 +566,14 @@ class _UntilFailing(Policy):
         return self.carrier.model
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Decisions of a problem's policy that ends with failing."""
+        """Return the decisions of a problem's policy that ends with failing."""
         branches = self.carrier.branches(states, memory)
         pair = np.where(branches.gives_up(memory), GIVE_UP_CODE, branches.pair)
         return Branches(branches.situation, pair, branches.probability)
 
 
 def until_failing(lottery: MixedPolicy) -> MixedPolicy:
-    """A problem's policies, none of which goes on after failing."""
+    """Return a problem's policies, none of which goes on after failing."""
     for member in lottery.policies:
         if member.goes_on:
             return replace(lottery, policies=tuple(map(_UntilFailing, lottery.policies)))

@@ -486,7 +486,7 @@ class Answer:
 def assembled(
     problem: Problem, found: Answer, run: Run, sense: ObjectiveSense = AS_ASKED
 ) -> Solution:
-    """The solution, assembled in the problem's own terms.
+    """Return the solution, assembled in the problem's own terms.
 
     Args:
         problem: the problem.
@@ -547,7 +547,8 @@ def gap_of_least_failure(failure: float, bound: float | None) -> float:
 
 
 def unproved_failure(failure: float, bound: float | None) -> str:
-    """Interval of the least failure in words; empty where it is proved or not asked for."""
+    """Return the interval of the least failure in words; empty where it is proved or not asked for.
+    """
     if bound is None or gap_of_least_failure(failure, bound) <= PROVED_OF_MANY:
         return ""
     return f"between {bound:.9g} and {failure:.9g}, not proved further"

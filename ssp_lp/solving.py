@@ -167,7 +167,7 @@ def _redundant_budget(budget: float | None, limit: Condition) -> str:
 def _error_without_answer(
     problem: Problem, deadline: Deadline, stop: BaseException | None
 ) -> BaseException:
-    """The error of ``solve`` where the time ended before there was an answer."""
+    """Return the error of ``solve`` where the time ended before there was an answer."""
     progress = stop.told if isinstance(stop, Stop) else ""
     if deadline.is_interrupted:
         return interrupted(progress)

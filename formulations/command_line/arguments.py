@@ -38,7 +38,7 @@ class Parameter(NamedTuple):
 
 
 def number_argument(text: str) -> Fraction:
-    """A number as it is written: 0.1 is a tenth, 5% a twentieth, 1/3 a third.
+    """Return a number as it is written: 0.1 is a tenth, 5% a twentieth, 1/3 a third.
 
     Raises:
         ArgumentTypeError: no number that a float can stand for.
@@ -58,12 +58,12 @@ def number_argument(text: str) -> Fraction:
 
 
 def _float_argument(text: str) -> float:
-    """A number, 0.05 or 5%."""
+    """Return a number, 0.05 or 5%."""
     return float(number_argument(text))
 
 
 def _number_or_none(text: str) -> float | None:
-    """A command-line argument that is a number, or none."""
+    """Return a command-line argument that is a number, or none."""
     return None if text == "none" else _float_argument(text)
 
 
@@ -74,13 +74,13 @@ def _budgets_argument(text: str) -> float | list[float | None] | None:
 
 
 def _criterion_argument(text: str) -> str:
-    """The criterion that is meant: ``min-cost``, ``MinCost`` and ``min_cost`` are one."""
+    """Return the criterion that is meant: ``min-cost``, ``MinCost`` and ``min_cost`` are one."""
     letters = re.sub("[-_]", "", text).lower()
     return next((name for name in CRITERIA if name.replace("-", "") == letters), text)
 
 
 def _steps_argument(text: str) -> int | str | None:
-    """The command-line argument for a horizon: a number of steps, none, or "env"."""
+    """Return the command-line argument for a horizon: a number of steps, none, or "env"."""
     if text in ("env", "none"):
         return text if text == "env" else None
     if text.isdecimal():
@@ -89,7 +89,7 @@ def _steps_argument(text: str) -> int | str | None:
 
 
 def option(name: str, value: object = ...) -> str:
-    """The command-line argument of a Python argument: ``--discount 0.9``, ``--no-check``."""
+    """Return the command-line argument of a Python argument: ``--discount 0.9``, ``--no-check``."""
     flag = name.replace("_", "-")
     if isinstance(value, bool):
         return f"--{flag}" if value else f"--no-{flag}"
@@ -186,12 +186,12 @@ class _OneLineParser(ArgumentParser):
 
 
 def _as_name(flag: str) -> str:
-    """The Python argument of a command-line argument."""
+    """Return the Python argument of a command-line argument."""
     return flag.lstrip("-").replace("-", "_")
 
 
 def argument_parser() -> ArgumentParser:
-    """The parser of the command line's arguments; what it parses has the command's name."""
+    """Return the parser of the command line's arguments; what it parses has the command's name."""
     whole = _OneLineParser(
         prog="ssp-lp",
         formatter_class=RawDescriptionHelpFormatter,

@@ -111,7 +111,7 @@ def _model_from_standard_input() -> str:
 
 
 def _model_of_environment(asked: Namespace) -> _CommandModel:
-    """The model of a Gymnasium environment that the command line names."""
+    """Return the model of a Gymnasium environment that the command line names."""
     gymnasium = optional_module("gymnasium", "gym")
     name, *words = asked.model.removeprefix(ENVIRONMENT).split(",")
     arguments = {key: _value_for_model(word) for key, _, word in (w.partition("=") for w in words)}
@@ -140,7 +140,7 @@ def _value_for_model(word: str) -> Any:
 
 
 def _state_named(model: SSP, word: str) -> Hashable:
-    """The state that a word of a command names; the word itself where there is none."""
+    """Return the state that a word of a command names; the word itself where there is none."""
     return next((state for state in model.states if str(state) == word), word)
 
 
@@ -159,7 +159,7 @@ _SIGNS: dict[str, Callable[..., ssp_lp.Constraint]] = {"<=": le, ">=": ge, "==":
 
 
 def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
-    """The problem that a command states.
+    """Return the problem that a command states.
 
     Raises:
         ModelError: the criterion does not take, or lacks, an argument; or it refuses one.
@@ -189,7 +189,7 @@ def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
 
 
 def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
-    """A sum of quantities in a command's words, " + " between them.
+    """Return a sum of quantities in a command's words, " + " between them.
 
     Raises:
         ModelError: what is no quantity of this model.
@@ -213,7 +213,7 @@ def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
 
 
 def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
-    """Costs of a command's model that the file names and the model does not, [outcomes].
+    """Return the costs of a command's model that the file names and the model does not, [outcomes].
 
     Raises:
         ModelError: there are none of this name.
@@ -227,7 +227,7 @@ def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
 
 
 def _problem_number(word: str, whole: str) -> float:
-    """A number in a command's words of a limit."""
+    """Return a number in a command's words of a limit."""
     try:
         return float(number_argument(word))
     except ArgumentTypeError as error:
@@ -304,7 +304,7 @@ def with_property(asked: Namespace) -> Namespace:
 
 
 def _operators_in(words: str) -> list[_Operator]:
-    """The operators of a property, one or several in ``multi( , )``.
+    """Return the operators of a property, one or several in ``multi( , )``.
 
     Raises:
         ModelError: what is none.
@@ -330,13 +330,13 @@ def _operators_in(words: str) -> list[_Operator]:
 
 
 def json_answer(answer: Any) -> list[str]:
-    """A command's answer in lines of JSON; a number that is not finite is null."""
+    """Return a command's answer in lines of JSON; a number that is not finite is null."""
     finite = json.loads(json.dumps(answer), parse_constant=lambda _: None)
     return [json.dumps(finite, indent=2, ensure_ascii=False)]
 
 
 def _csv_answer(path: str, table: Table) -> list[str]:
-    """The lines of a table with commas between its cells; or in a file."""
+    """Return the lines of a table with commas between its cells; or in a file."""
     if path == "-":
         return table.csv().splitlines()
     Path(path).write_text(table.csv(), encoding="utf-8")
@@ -344,12 +344,12 @@ def _csv_answer(path: str, table: Table) -> list[str]:
 
 
 def with_options(error: ssp_lp.SSPError) -> str:
-    """An error's message with a command's options in place of Python's arguments."""
+    """Return an error's message with a command's options in place of Python's arguments."""
     return "".join(option(*one) if isinstance(one, Argument) else str(one) for one in error.args)
 
 
 def figure_for(path: str | None) -> Figure | None:
-    """A figure for a command, known to be writable before anything is solved; None: none.
+    """Return a figure for a command, known to be writable before anything is solved; None: none.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -375,7 +375,7 @@ _WRITERS: dict[str, Callable[[Any, str], object]] = {
 
 
 def _solve_command(asked: Namespace) -> Iterable[str]:
-    """The command ``solve``."""
+    """Return the command ``solve``."""
     figure, asked, out = figure_for(asked.plot), with_property(asked), asked.policy_out
     write = None if out is None else _WRITERS.get(Path(out).suffix)
     if out is not None and write is None:  # before anything is solved
@@ -405,7 +405,7 @@ _WORTH_PROCESSES = 100_000  # outcomes of a model from which answers take longer
 def _several_answers(
     asked: Namespace, of: _CommandModel, budgets: Sequence[float | None], search: Mapping[str, Any]
 ) -> Iterable[str]:
-    """The command ``solve`` for several failure budgets, side by side: a table.
+    """Return the command ``solve`` for several failure budgets, side by side: a table.
 
     Raises:
         ModelError: something is to be made of the one answer.
@@ -430,7 +430,7 @@ def _several_answers(
 
 
 def _check_command(asked: Namespace) -> Iterable[str]:
-    """The command ``check``.
+    """Return the command ``check``.
 
     Raises:
         ModelError: something is asked, but not of which model.
@@ -448,7 +448,7 @@ def _check_command(asked: Namespace) -> Iterable[str]:
 
 
 def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
-    """A command's solution as a table for other programs."""
+    """Return a command's solution as a table for other programs."""
     members = zip(solution.policy.weights.tolist(), solution.policy.policies, strict=True)
     names = ("goal_probability", "failure_probability", "conditional_cost", "expected_cost")
     return {
@@ -470,7 +470,7 @@ def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
 
 
 def _decisions(policy: Policy) -> dict[str, Any]:
-    """Decisions that a command prints, by state; of a policy with memory, its words."""
+    """Return the decisions that a command prints, by state; of a policy with memory, its words."""
     inner = getattr(policy, "inner", policy)
     if not isinstance(inner, ssp_lp.DeterministicPolicy):
         return {"kind": repr(policy)}
@@ -481,13 +481,13 @@ _LISTED = 8  # actions that ``info`` names
 
 
 def _traced_frontier(asked: Namespace, of: _CommandModel) -> ssp_lp.Frontier:
-    """The frontier that a command asks for."""
+    """Return the frontier that a command asks for."""
     limits = {name: getattr(asked, name) for name in ("gap", "point_limit", "time_limit")}
     return ssp_lp.trace_frontier(problem_of(asked, of), asked.over, **limits)
 
 
 def _explore_command(asked: Namespace) -> Iterable[str]:
-    """The command ``explore``."""
+    """Return the command ``explore``."""
     asked = with_property(asked)
     found = command_model(asked)
     traced = _traced_frontier(asked, found)
@@ -501,7 +501,7 @@ def _explore_command(asked: Namespace) -> Iterable[str]:
 
 
 def _frontier_command(asked: Namespace) -> Iterable[str]:
-    """The command ``frontier``."""
+    """Return the command ``frontier``."""
     figure = figure_for(asked.plot)
     asked = with_property(asked)
     traced = _traced_frontier(asked, command_model(asked))
@@ -517,7 +517,7 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
 
 
 def _info_command(asked: Namespace) -> Iterable[str]:
-    """The command ``info``."""
+    """Return the command ``info``."""
     model, start = command_model(asked).written_out
     names = list(map(str, model.action_names))
     facts: dict[str, Any] = {
@@ -539,7 +539,7 @@ def _info_command(asked: Namespace) -> Iterable[str]:
 
 
 def _simulate_command(asked: Namespace) -> Iterable[str]:
-    """The command ``simulate``."""
+    """Return the command ``simulate``."""
     check_whole("seed", asked.seed, 0)
     found = command_model(asked)
     problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
@@ -558,7 +558,7 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
 
 
 def _convert_command(asked: Namespace) -> Iterable[str]:
-    """The command ``convert``."""
+    """Return the command ``convert``."""
     found = command_model(asked)
     model, start = found.written_out
     if asked.target == "-":
@@ -568,7 +568,7 @@ def _convert_command(asked: Namespace) -> Iterable[str]:
 
 
 def _program_command(asked: Namespace) -> Iterable[str]:
-    """The command ``program``."""
+    """Return the command ``program``."""
     asked = with_property(asked)
     program = program_of(problem_of(asked, command_model(asked)))
     if asked.out is not None:
@@ -577,7 +577,7 @@ def _program_command(asked: Namespace) -> Iterable[str]:
 
 
 def _what_if_command(asked: Namespace) -> Iterable[str]:
-    """The command ``what-if``."""
+    """Return the command ``what-if``."""
     figure = figure_for(asked.plot)
     asked = with_property(asked)
     found = ssp_lp.solve(problem_of(asked, command_model(asked)))

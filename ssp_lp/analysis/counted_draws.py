@@ -44,7 +44,7 @@ def counted_words(seed: int, episode: IntArray, step: int) -> tuple[Words, Words
 
 
 def high_product(one: Words, other: Words | np.uint64) -> Words:
-    """The upper words of products of drawn words, like ``one``."""
+    """Return the upper words of products of drawn words, like ``one``."""
     one_low, one_high, low, high = one & _LOW, one >> _HALF, other & _LOW, other >> _HALF
     middle = one_high * low + ((one_low * low) >> _HALF)
     crossed = one_low * high + (middle & _LOW)
@@ -52,7 +52,7 @@ def high_product(one: Words, other: Words | np.uint64) -> Words:
 
 
 def drawn_segments(shares: FloatArray, offsets: IntArray, words: Words) -> IntArray:
-    """An entry of each segment, drawn by random words with their shares, [segments].
+    """Return an entry of each segment, drawn by random words with their shares, [segments].
 
     Args:
         shares: >= 0, [entries]; each segment's sum to about 1.
@@ -69,7 +69,7 @@ def drawn_segments(shares: FloatArray, offsets: IntArray, words: Words) -> IntAr
 
 
 def drawn_entries(shares: FloatArray, words: Words) -> IntArray:
-    """Entries of one distribution, each drawn by a random word, [words].
+    """Return the entries of one distribution, each drawn by a random word, [words].
 
     Args:
         shares: >= 0, with a sum of about 1, [entries].
@@ -80,7 +80,7 @@ def drawn_entries(shares: FloatArray, words: Words) -> IntArray:
 
 
 def drawn_outcomes(model: SSP, pairs: IntArray, words: Words) -> IntArray:
-    """An outcome of each pair, drawn by random words, [pairs given].
+    """Return an outcome of each pair, drawn by random words, [pairs given].
 
     Args:
         model: whose pairs and outcomes are meant.

@@ -82,7 +82,7 @@ class Evaluation(Facts):
             object.__setattr__(self, name, ByName(getattr(self, name)))
 
     def tables(self) -> list[Table]:
-        """The objective, how episodes end, and the costs."""
+        """Return the objective, how episodes end, and the costs."""
         return [
             Table([
                 ("objective", self.objective),
@@ -152,7 +152,7 @@ def evaluate(
 def evaluate_each(
     policy: Policy | MixedPolicy, problem: Problem = NEEDED
 ) -> tuple[Evaluation, list[Evaluation]]:
-    """The evaluation of a policy, and that of each member of the lottery by itself.
+    """Return the evaluation of a policy, and that of each member of the lottery by itself.
 
     The members' objectives are their costs where the problem has a measure of the law.
 
@@ -181,7 +181,7 @@ def evaluate_each(
 
 @explained
 def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
-    """The law of a policy's total cost on the runs that reach the goal.
+    """Return the law of a policy's total cost on the runs that reach the goal.
 
     Costs and probabilities are undiscounted, whatever the problem's discount. The law of a lottery
     is the mixture of its members' laws, so that a quantile is the mixture's, never a mean of the
@@ -239,7 +239,7 @@ def _measured_law(
 
 
 def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) -> CostLaw:
-    """The cost law of a lottery from its members' chains.
+    """Return the cost law of a lottery from its members' chains.
 
     Args:
         chains: of the members, as costs are paid and as the members count them.
@@ -267,7 +267,7 @@ def mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
 
 
 def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
-    """The evaluation of a policy from its measures."""
+    """Return the evaluation of a policy from its measures."""
     semantics, discounted = problem.semantics, problem.discount is not None
     goal, failure, success_cost, stopped = sums.totals[0].tolist()
     kept, surrogate, *costs = sums.totals[-1].tolist()
@@ -299,7 +299,7 @@ def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
 
 
 def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> _Measures:
-    """Measures for a policy's evaluation, on its chain."""
+    """Return the measures for a policy's evaluation, on its chain."""
     mass = np.zeros((chain.n_nodes, 3 * len(_survivals(problem))))
     mass[:, ::3] = chain.start[:, None]
     counted = counted_nodes(chain, problem, declared=declared)
@@ -310,7 +310,7 @@ def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False
 
 
 def _measures_of(totals: FloatArray, ends: FloatArray) -> _Measures:
-    """Measures of totals by discount, [discounts, 4], and of ways to end, [ways]."""
+    """Return the measures of totals by discount, [discounts, 4], and of ways to end, [ways]."""
     for row in totals:  # goal and failure within [0, 1]; 0 of either where the other is sure
         goal, failure = row[[GOAL, FAILED]]
         row[GOAL] = 1.0 if failure == 0.0 else min(goal, 1.0)
@@ -319,7 +319,7 @@ def _measures_of(totals: FloatArray, ends: FloatArray) -> _Measures:
 
 
 def _survivals(problem: Problem) -> list[float]:
-    """The discounts under which a policy is measured, the problem's last."""
+    """Return the discounts under which a policy is measured, the problem's last."""
     return [1.0] if problem.discount is None else [1.0, problem.discount]
 
 
@@ -359,7 +359,7 @@ def _chain_totals(
 
 
 def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
-    """Probability of each way in which episodes end, as of ``end_marks``, [ways]."""
+    """Return the probability of each way in which episodes end, as of ``end_marks``, [ways]."""
     ways = np.arange(len(chain.model.state_labels) + 3)
     final = ((chain.goal > 0) | (chain.dead > 0))[:, None]
     ends, stops = (
@@ -376,7 +376,7 @@ _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"
 
 
 def cost_in_words(cost: float) -> str:
-    """A number of an evaluation; nan is the cost given success where there is no success."""
+    """Return a number of an evaluation; nan is the cost given success where there is no success."""
     return "none: the goal is never reached" if cost != cost else f"{cost:.6g}"
 
 
@@ -542,7 +542,7 @@ class _LayerCosts:
 
     @classmethod
     def of(cls, problem: Problem) -> _LayerCosts:
-        """The layered costs of a problem."""
+        """Return the layered costs of a problem."""
         model, semantics, dead = problem.model, problem.semantics, dead_ends(problem.model)
         charge = state_give_up_charges(model, semantics)
         entering = dead_end_charges(model, dead, semantics)
@@ -582,7 +582,7 @@ class _LayerCosts:
     def of_even_layers(
         self, moves: LayerMoves, hopeful: BoolArray, waiting: FloatArray, stopped: FloatArray
     ) -> FloatArray | None:
-        """The same of the first layers, as many as one compiled pass may follow.
+        """Return the same of the first layers, as many as one compiled pass may follow.
 
         They are those whose steps all go on, and equally many layers ahead from each.
 
@@ -620,7 +620,8 @@ class _LayerCosts:
 def give_up_costs(
     chain: Chain, semantics: FailureSemantics, free: BoolArray | None = None
 ) -> FloatArray:
-    """Value of giving up at each node of a policy's chain, 0 where it may not, [nodes]."""
+    """Return the value of giving up at each node of a policy's chain, 0 where it may not, [nodes].
+    """
     if not chain.give_up.any():
         return np.zeros(len(chain.give_up))
     charge = state_give_up_charges(chain.model, semantics, free)[chain.state]
@@ -652,7 +653,7 @@ def lost_costs(
     survival: float,
     free: BoolArray | None = None,
 ) -> FloatArray:
-    """Value of the cost to come at nodes that cannot reach the goal, [nodes].
+    """Return the value of the cost to come at nodes that cannot reach the goal, [nodes].
 
     Failure is declared there at once, and charged as the semantics says; with ``DEAD_ENDS`` stage
     costs are paid until a dead-end is entered, which costs infinity where that is never.
@@ -704,7 +705,8 @@ def state_give_up_charges(
 
 
 def entering_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:
-    """Charge of entering each dead-end, for quantities' values, 0 elsewhere, [states]."""
+    """Return the charge of entering each dead-end, for quantities' values, 0 elsewhere, [states].
+    """
     return model.of_all_states(dead_end_charges(model, dead_ends(model), semantics))
 
 
@@ -751,7 +753,7 @@ def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, Int
 
 
 def lost_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> BoolArray:
-    """Nodes of a policy's chain at which it has failed, as quantities count it, [nodes].
+    """Return the nodes of a policy's chain at which it has failed, as quantities count it, [nodes].
 
     Args:
         chain: the policy's.
@@ -763,7 +765,7 @@ def lost_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> Boo
 
 
 def _asks_for_ends(problem: Problem) -> bool:
-    """Whether some constraint or the objective asks for an end that is not the goal."""
+    """Return whether some constraint or the objective asks for an end that is not the goal."""
     return any(condition.wants_ends for condition in asked_quantities(problem))
 
 
@@ -789,7 +791,7 @@ def cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
 
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> list[float]:
-    """Value of each quantity that a problem asks for, [quantities]."""
+    """Return the value of each quantity that a problem asks for, [quantities]."""
     return [
         asked.constant
         + sum(w * _quantity_value(chain, counted, problem, term) for w, term in asked.terms)
@@ -798,7 +800,8 @@ def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> list[
 
 
 def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Term) -> float:
-    """Value of one term of a quantity on a policy's chain: cost, visits, or way to end."""
+    """Return the value of one term of a quantity on a policy's chain: cost, visits, or way to end.
+    """
     survival, semantics = survival_of(problem.discount), problem.semantics
     if term.through and chain.model.failure_label is not None:  # to the true end of the run
         semantics, counted = replace(semantics, give_up=GiveUp.DEAD_ENDS), chain.settling
@@ -819,7 +822,7 @@ def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Te
 def ending_values(
     chain: Chain, at_end: FloatArray, survival: float = 1.0, at_stop: FloatArray | float = 0.0
 ) -> FloatArray:
-    """Probability of ending in some nodes, discounted, from each node, [nodes, ways].
+    """Return the probability of ending in some nodes, discounted, from each node, [nodes, ways].
 
     Args:
         chain: the chain.
@@ -865,5 +868,5 @@ def value_until_failure(
 
 
 def complement(probability: float) -> float:
-    """Value of a quantity's complement: 1 less a probability, within [0, 1]."""
+    """Return the value of a quantity's complement: 1 less a probability, within [0, 1]."""
     return min(max(1.0 - probability, 0.0), 1.0)

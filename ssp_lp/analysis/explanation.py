@@ -123,7 +123,7 @@ def explanation(
 def _counted_quantities(
     program: OccupationProgram, prices: Mapping[str, float], ratio: float
 ) -> list[tuple[str, float, FloatArray]]:
-    """The objective, the goal in case S, failing, and each row: name, weight, [pairs]."""
+    """Return the objective, the goal in case S, failing, and each row: name, weight, [pairs]."""
     process = program.process
     counted = [(program.objective, 1.0, process.cost)]
     if program.ratio:
@@ -136,7 +136,7 @@ def _counted_quantities(
 
 
 def _following(values: StateValues, rewards: FloatArray) -> FloatArray:
-    """Amount of each explained quantity that follows each pair, [quantities, pairs]."""
+    """Return the amount of each explained quantity that follows each pair, [quantities, pairs]."""
     process, dynamics = values.program.process, values.program.process.dynamics
     scale = max(float(np.abs(values.states).max(initial=0.0)), 1.0)
     tight = values.reduced_costs <= _TIGHT * scale

@@ -106,7 +106,7 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
 def greatest_total(
     model: SSP, steps: int, pairs: BoolArray | None = None, most_work: int = 300_000_000
 ) -> tuple[float, bool]:
-    """Greatest total cost of a simulated episode of at most so many steps.
+    """Return the greatest total cost of a simulated episode of at most so many steps.
 
     Steps within a strong component may be repeated, others come once: they add up to the dearest
     way through the components.
@@ -145,7 +145,8 @@ def greatest_total(
 
 
 def pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
-    """Pairs that a simulated policy takes somewhere, [pairs]; None: that is not known."""
+    """Return the pairs that a simulated policy takes somewhere, [pairs]; None: that is not known.
+    """
     try:
         table = policy.table()
     except ModelError:
@@ -245,7 +246,7 @@ class _TrackedSimulator(ModelSimulator):
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
-    """A simulated world of the stated model's states as one of the model solved on."""
+    """Return a simulated world of the stated model's states as one of the model solved on."""
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
     inner = _on_products(simulator, model.original, stated)

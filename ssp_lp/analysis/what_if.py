@@ -58,7 +58,7 @@ _FARTHEST = 1e3  # step of a number without an end of its own
 
 
 def _added(*parts: Mapping[Any, float]) -> dict[Any, float]:
-    """The sum of vectors that are stated by their entries."""
+    """Return the sum of vectors that are stated by their entries."""
     total = dict[Any, float]()
     for part in parts:
         for key, value in part.items():
@@ -76,7 +76,7 @@ class Change:
     start: Mapping[int, float] = field(default_factory=dict)  # by state; sum 0
 
     def __add__(self, other: Change) -> Change:
-        """Both moves at once."""
+        """Return both moves at once."""
         return Change(
             _added(self.probabilities, other.probabilities),
             _added(self.costs, other.costs),
@@ -85,7 +85,7 @@ class Change:
         )
 
     def applied(self, problem: Problem, step: float) -> Problem:
-        """The problem with its numbers moved by a step.
+        """Return the problem with its numbers moved by a step.
 
         Raises:
             ModelError: the criterion refuses the numbers.
@@ -112,7 +112,7 @@ class Change:
         return cast("Problem", replace(cast("Any", problem), constraints=limits, **stated))
 
     def most(self, problem: Problem, sign: float) -> float:
-        """The greatest step in a direction that leaves every number at least 0."""
+        """Return the greatest step in a direction that leaves every number at least 0."""
         costs = problem.model.costs_by_name
         start = start_distribution(problem.model, problem.start) if self.start else np.zeros(0)
         at = [
@@ -469,7 +469,7 @@ class _Optimum:
         return np.bincount(places, per_outcome, size).astype(np.float64)
 
     def along(self, change: Change) -> float:
-        """Derivative of the optimum when numbers move together."""
+        """Return the derivative of the optimum when numbers move together."""
         return float(sum((
             *(slope * self.by_probability[k] for k, slope in change.probabilities.items()),
             *(slope * self.by_cost[name][k] for (name, k), slope in change.costs.items()),
@@ -535,7 +535,7 @@ def _solved_in_time(problem: Problem) -> OccupationMeasure:
 
 
 def _facts(model: SSP) -> dict[str, Any]:
-    """Facts about a model's graph on which the kind of its optimum rests."""
+    """Return the facts about a model's graph on which the kind of its optimum rests."""
     attention = attention_states(model)
     return {
         "dead-ends": dead_ends(model),
@@ -559,7 +559,7 @@ class WhatIf(Report):
     effects: tuple[Effect, ...] = ()
 
     def effect(self, number: Number | Change) -> Effect:
-        """Derivatives of the optimum by a number, or by several that move together."""
+        """Return the derivatives of the optimum by a number, or by several that move together."""
         if isinstance(number, Change):
             number = Number("group", "change", None, number)
         change = number.change
@@ -632,11 +632,11 @@ class WhatIf(Report):
         return -self._reach(change, -1.0), self._reach(change, 1.0)
 
     def _reach(self, change: Change, sign: float) -> float:
-        """Length of the step in one direction up to the next breakpoint."""
+        """Return the length of the step in one direction up to the next breakpoint."""
         end = min(change.most(self.problem, sign), _FARTHEST)
 
         def stays(step: float) -> bool:
-            """Whether the same actions are optimal and used after a step."""
+            """Return whether the same actions are optimal and used after a step."""
             try:
                 beside = _Optimum.of(change.applied(self.problem, sign * step))
             except SSPError:
@@ -685,7 +685,7 @@ def what_if(
     *,
     time_limit: float | None = None,
 ) -> WhatIf:
-    """Derivatives of a problem's optimum by its numbers: see :meth:`Solution.what_if`.
+    """Return the derivatives of a problem's optimum by its numbers: see :meth:`Solution.what_if`.
 
     Raises:
         ModelError: a criterion whose optimum has no such derivatives.
@@ -789,12 +789,12 @@ def _in_proportion(shares: FloatArray, places: list[int], place: int) -> dict[in
 
 
 def _outcomes_of(model: SSP, pair: int) -> list[int]:
-    """Outcomes of a pair."""
+    """Return the outcomes of a pair."""
     return [*range(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))]
 
 
 def _chances_of_pair(model: SSP, pair: int) -> Iterator[Number]:
-    """Probabilities of a pair's outcomes."""
+    """Yield the probabilities of a pair's outcomes."""
     outcomes, chances = _outcomes_of(model, pair), model.probabilities
     state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)
     for k in outcomes:
@@ -808,7 +808,7 @@ def _chances_of_pair(model: SSP, pair: int) -> Iterator[Number]:
 
 
 def _costs_of_pair(model: SSP, pair: int, optimum: _Optimum) -> Iterator[Number]:
-    """Costs of a pair's outcomes that count; one where all outcomes cost the same."""
+    """Yield the costs of a pair's outcomes that count; one where all outcomes cost the same."""
     outcomes = _outcomes_of(model, pair)
     state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)
     for cost, costs in model.costs_by_name.items():

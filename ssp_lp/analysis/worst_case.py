@@ -56,7 +56,7 @@ class WorstCase(Facts):
         )
 
     def tables(self) -> list[Table]:
-        """Each measure, and that they do not occur together."""
+        """Return each measure, and that they do not occur together."""
         note = "each at probabilities of its own: they do not occur together"
         if not self.is_exact:
             note += "; bounds, as nature may choose for each policy of a lottery or at each visit"
@@ -110,7 +110,8 @@ def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> 
 
 
 def _measures(boxed: BoxedChain, problem: Problem, boxes: Boxes) -> list[float]:
-    """Worst failure, cost, objective and probability of each way to fail of one policy."""
+    """Return the worst failure, cost, objective and probability of each way to fail of one policy.
+    """
     chain, semantics = boxed.chain, problem.semantics
     failing = boxed.failing()
     failure = float(chain.start @ failing)
@@ -136,14 +137,14 @@ def _measures(boxed: BoxedChain, problem: Problem, boxes: Boxes) -> list[float]:
 
 
 def _reach(boxed: BoxedChain, ends: FloatArray, at_stop: float = 0.0) -> float:
-    """Greatest probability of coming to some nodes from the start, or of giving up."""
+    """Return the greatest probability of coming to some nodes from the start, or of giving up."""
     nothing, inside = np.zeros(len(boxed.low)), (ends == 0.0) & (boxed.chain.goal == 0.0)
     values = boxed.greatest(nothing, ends, inside, at_stop=at_stop)
     return float(boxed.chain.start @ values)
 
 
 def _cost(boxed: BoxedChain, semantics: FailureSemantics, boxes: Boxes, penalty: float) -> float:
-    """Greatest cost until failure from the start, with a penalty for failing."""
+    """Return the greatest cost until failure from the start, with a penalty for failing."""
     chain = boxed.chain
     inside = boxed.acting if semantics.give_up is GiveUp.DEAD_ENDS else chain.alive
     stopping, entering = _charges(semantics, boxes)

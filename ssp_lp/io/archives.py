@@ -86,7 +86,7 @@ class _Arrays(dict[str, Array]):
         self._archive = archive
 
     def __missing__(self, name: str) -> Array:
-        """An array in the machine's own byte order.
+        """Return an array in the machine's own byte order.
 
         Raises:
             ModelError: the array is damaged or missing.
@@ -107,7 +107,7 @@ _OTHER_ARRAY = "the array {} has another type or size than it should"
 
 
 def _header_of(archive: Any, path: FilePath, kind: str) -> Any:
-    """Header of an archive that numpy has opened.
+    """Return the header of an archive that numpy has opened.
 
     Raises:
         ModelError: it is too large, of another kind of file, or of a later version than this
@@ -185,7 +185,7 @@ def save_model(model: SSP, path: FilePath) -> None:
     check_model(model, "save_model")
 
     def stated(names: Sequence[Hashable]) -> list[Any] | None:
-        """Names as JSON has them; None where they are their positions."""
+        """Return the names as JSON has them; None where they are their positions."""
         if isinstance(names, range):
             return None
         return [name if isinstance(name, float) else label_value(name) for name in names]
@@ -232,7 +232,7 @@ class ModelFile:
         self.n_states = self._read("pair_offsets", 0, 0)[1] - 1
 
     def rows(self, first: int, end: int) -> StateRows:
-        """Rows of some states; what stands before them in the file is passed over."""
+        """Return the rows of some states; what stands before them in the file is passed over."""
         pairs = self._read("pair_offsets", first, end + 1)[0]
         outcomes = self._read("outcome_offsets", int(pairs[0]), int(pairs[-1]) + 1)[0]
         own = int(outcomes[0]), int(outcomes[-1])
@@ -324,7 +324,7 @@ def load_model(path: FilePath) -> SSP:
 
 
 def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:
-    """Names at some positions in an archive."""
+    """Return the names at some positions in an archive."""
     if ((numbers < 0) | (numbers >= len(names))).any():
         raise ModelError(f"there are {what} without a name")
     return [names[k] for k in numbers.tolist()]
@@ -384,7 +384,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
 def _policy_in(
     header: Mapping[str, Any], arrays: Mapping[str, Array], model: SSP, *, check: bool
 ) -> AnyPolicy:
-    """The policy that an archive's header states; see :func:`load_policy`.
+    """Return the policy that an archive's header states; see :func:`load_policy`.
 
     Raises:
         ModelError: the model is another one.
@@ -448,7 +448,7 @@ class _PolicyRecords:
         self._named: dict[Any, str] = {}  # content of an array -> its name
 
     def header(self, policy: AnyPolicy) -> dict[str, Any]:
-        """Header of an archive for a policy and the model that it lives on.
+        """Return the header of an archive for a policy and the model that it lives on.
 
         Raises:
             ModelError: the policy cannot be saved, or lives on several models.
@@ -506,7 +506,7 @@ class _PolicyRecords:
         return self._known.setdefault(id(policy), len(self._records) - 1)
 
     def _stated(self, value: Any) -> Any:
-        """A policy's field as JSON for an archive."""
+        """Return a policy's field as JSON for an archive."""
         if isinstance(value, np.ndarray):
             return self.add_array(value)
         if isinstance(value, (Policy, MixedPolicy)):
@@ -667,7 +667,8 @@ def fingerprint(model: SSP) -> str:
 
 @kept
 def pair_print(model: SSP) -> str:
-    """Fingerprint of a model's pairs by state: the SHA-256 of what a policy needs of it."""
+    """Return the fingerprint of a model's pairs by state: the SHA-256 of what a policy needs of it.
+    """
     digest = sha256(b"ssp-lp pairs 1")
     _fingerprint_array(digest.update, "pair_offsets", model.pair_offsets, "<i8")
     return digest.hexdigest()
@@ -730,7 +731,7 @@ def stated_value(label: Hashable) -> Any:
 
 
 def are_numbers_in_turn(labels: Sequence[Hashable]) -> bool:
-    """Whether an archive needs no labels: they are the whole numbers 0, 1, ..."""
+    """Return whether an archive needs no labels: they are the whole numbers 0, 1, ..."""
     if isinstance(labels, range):
         return labels == range(len(labels))
     return all(label == k for k, label in enumerate(labels))

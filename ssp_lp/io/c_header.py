@@ -190,7 +190,7 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
 
 
 def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
-    """The fields of a member's struct but the first, by name; lists are tables of their own.
+    """Return the fields of a member's struct but the first, by name; lists are tables of their own.
 
     Args:
         stated: the member as a controller's file states it.
@@ -229,12 +229,12 @@ def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
 
 
 def _c_comment(label: object) -> str:
-    """A label as part of a comment of C."""
+    """Return a label as part of a comment of C."""
     return repr(label).replace("*/", "* /").encode("ascii", "backslashreplace").decode()
 
 
 def _c_string(text: str) -> str:
-    """A text as a literal of C, the bytes of its UTF-8 that are not plain in octal."""
+    """Return a text as a literal of C, the bytes of its UTF-8 that are not plain in octal."""
     plain = (chr(b) if chr(b).isalnum() or chr(b) in " _-+,.:()" else "" for b in range(128))
     known = dict(enumerate(plain))
     return '"' + "".join(known.get(b) or f"\\{b:03o}" for b in text.encode()) + '"'
@@ -244,7 +244,7 @@ _A_LINE = 24  # numbers
 
 
 def _c_table(name: str, kind: str, values: IntArray | FloatArray) -> str:
-    """A table as C has it."""
+    """Return a table as C has it."""
     words = [repr(value) for value in values.ravel().tolist()]
     lines = (words[k : k + _A_LINE] for k in range(0, len(words), _A_LINE))
     body = ",\n    ".join(", ".join(line) for line in lines)

@@ -131,7 +131,7 @@ class Controller:
         return self._failed
 
     def action(self, state: Hashable) -> Hashable:
-        """The action in this state; "give up" or None from where the episode is over.
+        """Return the action in this state; "give up" or None from where the episode is over.
 
         It is over from giving up on, or from a goal or a dead-end, unless the policy knows what to
         do then; ``failed`` says from when on the goal is given up.
@@ -163,7 +163,7 @@ class Controller:
         return self._answer
 
     def _ends_in(self, state: int) -> bool:
-        """Whether an episode is over in a state."""
+        """Return whether an episode is over in a state."""
         member = self._current()
         if "afterwards" in member:
             return state in self._goals or member["afterwards"][state] < 0
@@ -180,7 +180,7 @@ class Controller:
             self._alone = 2
 
     def _choice(self, state: int) -> int:
-        """The position of an action in a state, or a code."""
+        """Return the position of an action in a state, or a code."""
         member, is_over = self._current(), self._alone == 1
         acts = "otherwise" in member
         is_over |= acts and state in member["ends"]
@@ -226,13 +226,13 @@ class Controller:
         self._step, self._is_observed, self._quits = (there, self._step[1]), True, False
 
     def _current(self) -> dict[str, Any]:
-        """The member of the lottery that the controller plays."""
+        """Return the member of the lottery that the controller plays."""
         if self._member is None:
             raise RuntimeError("call reset(seed) before the first action of an episode")
         return self._member
 
     def _state(self, label: Hashable) -> int:
-        """Number of a state that the controller observes."""
+        """Return the number of a state that the controller observes."""
         with suppress(KeyError, TypeError):  # a list, say, has no hash
             if isinstance(label, Integral) or not self._are_numbered:
                 return self._index[label]
@@ -251,14 +251,14 @@ def controller_checksum(told: dict[str, Any]) -> str:
 
 
 def controller_label(value: Any) -> Hashable:
-    """A controller's label from its JSON value: lists are tuples."""
+    """Return a controller's label from its JSON value: lists are tuples."""
     if isinstance(value, list):
         return tuple(controller_label(part) for part in value)
     return cast("Hashable", value)
 
 
 def _controller_start(memory: dict[str, Any] | None, state: int) -> Any:
-    """The controller's memory at the start."""
+    """Return the controller's memory at the start."""
     if memory is None:
         return 0
     if "place" in memory:
@@ -269,7 +269,7 @@ def _controller_start(memory: dict[str, Any] | None, state: int) -> Any:
 
 
 def _controller_place(memory: dict[str, Any], number: int, state: int) -> int:
-    """The controller's situation: a state and the number of a memory."""
+    """Return the controller's situation: a state and the number of a memory."""
     place: int = memory["place"][number][state]
     if place < 0:
         raise ValueError("a state was reached with a memory that the policy does not know there")
@@ -279,7 +279,7 @@ def _controller_place(memory: dict[str, Any], number: int, state: int) -> int:
 def _innermost_of_controller(
     memory: dict[str, Any] | None, value: Any, state: int
 ) -> tuple[int, int]:
-    """The controller's innermost memory, and the state that it is for."""
+    """Return the controller's innermost memory, and the state that it is for."""
     while memory is not None and "place" in memory:
         state, memory, value = _controller_place(memory, value[0], state), memory["inner"], value[1]
     return value, state
@@ -288,7 +288,7 @@ def _innermost_of_controller(
 def _controller_after(
     memory: dict[str, Any] | None, value: Any, step: tuple[int, int, int], cost: float, quits: bool
 ) -> Any:
-    """The controller's memory after a step from a state by an action to a successor."""
+    """Return the controller's memory after a step from a state by an action to a successor."""
     if memory is None:
         return value
     state, action, successor = step
@@ -328,7 +328,7 @@ def _controller_after(
 def _counted_by_controller(
     memory: dict[str, Any], number: int, step: tuple[int, int, int], cost: float
 ) -> int:
-    """The number of a controller's memory after a step."""
+    """Return the number of a controller's memory after a step."""
     if memory["kind"] == "steps":
         late = memory["acting"][step[2]] and number + 1 >= memory["steps"]
         return int(memory["steps"] + 1) if late else number + 1
@@ -344,11 +344,12 @@ def _counted_by_controller(
 
 
 def _controller_layer(memory: dict[str, Any], layer: int, state: int) -> int:
-    """The controller's layer below the cap, then the tail."""
+    """Return the controller's layer below the cap, then the tail."""
     return layer if layer < int(memory["cap"]) else _controller_tail(memory, layer, state)
 
 
 def _controller_tail(memory: dict[str, Any], reached: float, state: int) -> int:
-    """The controller's tail by what is reached: the last one from the state's threshold on."""
+    """Return the controller's tail by what is reached: the last one from the state's threshold on.
+    """
     threshold, last = memory["threshold"][state], memory["tails"] - 1
     return int(memory["cap"] + (0 if threshold is None or reached < threshold else last))

@@ -73,7 +73,7 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
 
 
 def controller_member(policy: Policy) -> dict[str, Any]:
-    """A member of a lottery, as the controller reads it.
+    """Return a member of a lottery, as the controller reads it.
 
     Raises:
         ModelError: the controller does not know its memory.
@@ -92,14 +92,14 @@ def controller_member(policy: Policy) -> dict[str, Any]:
 
 
 def _positions(model: SSP, codes: Mapping[Hashable, int], pairs: IntArray) -> IntArray:
-    """The numbers of the actions of some exported pairs; codes stay."""
+    """Return the numbers of the actions of some exported pairs; codes stay."""
     action = np.array([codes[name] for name in model.action_names] or [0])
     action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
     return np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)])
 
 
 def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | None:
-    """An exported policy's memory as the controller reads it.
+    """Return an exported policy's memory as the controller reads it.
 
     Raises:
         ModelError: the controller does not know such a memory.
@@ -143,7 +143,7 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
 
 
 def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, Any]:
-    """Transitions of an exported product's memory numbers, for the controller's file."""
+    """Return the transitions of an exported product's memory numbers, for the controller's file."""
     if isinstance(product, HorizonSSP):
         acting = np.diff(product.original.pair_offsets) > 0
         return {"kind": "steps", "steps": product.steps, "acting": acting.astype(int).tolist()}
@@ -175,14 +175,15 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
 
 
 def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:
-    """The numbers of a model's actions, and of those by which a run gives up, behind them."""
+    """Return the numbers of a model's actions, and of those by which a run gives up, behind them.
+    """
     names = product.original.action_names
     giving_up = zip(product.action_names[len(names) :], names, strict=True)
     return {**codes, **{name: len(codes) + codes[own] for name, own in giving_up}}
 
 
 def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:
-    """An exported policy's decisions, [memories][states], of its innermost memory."""
+    """Return an exported policy's decisions, [memories][states], of its innermost memory."""
     over = np.zeros(policy.model.n_states, dtype=np.bool_)
     while isinstance(policy, RememberingPolicy | LabelledPolicy):
         product, policy = policy.product, policy.inner

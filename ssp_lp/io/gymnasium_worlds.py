@@ -96,12 +96,13 @@ class EnvironmentSSP(SSP):
         return (END, state) if terminated and state in self.ends else state
 
     def ends_among(self, listed: Callable[[Any], bool], label: Any) -> bool:
-        """Whether a predicate on the Gymnasium environment's states holds of a state's end."""
+        """Return whether a predicate on the Gymnasium environment's states holds of a state's end.
+        """
         is_end = isinstance(label, tuple) and label[0] == END
         return listed(label[1]) if is_end else label not in self.ends and bool(listed(label))
 
     def seen(self, env: Any, observation: Any) -> Any:
-        """State of the Gymnasium environment that an observation shows."""
+        """Return the state of the Gymnasium environment that an observation shows."""
         return _plain(observation)
 
     def check_step(self, pair: int, state: int) -> None:
@@ -261,12 +262,12 @@ def _checked_set(table: _Table, name: str, listed: Iterable[Hashable]) -> Callab
 
 
 def _is_in_cells(grid: Grid, cells: Container[Hashable], point: tuple[float, ...]) -> bool:
-    """Whether a point of a Gymnasium environment is in the grid and in one of some cells."""
+    """Return whether a point of a Gymnasium environment is in the grid and in one of some cells."""
     return _is_in_box(grid, point) and grid.cell_of(point) in cells
 
 
 def _is_in_box(grid: Grid, point: tuple[float, ...]) -> bool:
-    """Whether a point of a Gymnasium environment lies in the grid's box."""
+    """Return whether a point of a Gymnasium environment lies in the grid's box."""
     return not grid.misses(grid.heights(tuple(map(np.asarray, point)))).any()
 
 
@@ -282,7 +283,7 @@ def continuous_from_gymnasium(
     goal: Callable[[tuple[float, ...]], bool],
     cost: Callable[[tuple[float, ...], Any, tuple[float, ...], float], float] | None = None,
 ) -> ContinuousModel:
-    """The continuous world of an environment whose state is an array of coordinates.
+    """Return the continuous world of an environment whose state is an array of coordinates.
 
     Its step function puts the environment's ``env.unwrapped.state`` at a point and takes one step
     there: ``discretise`` makes a model of it, and ``WorldSimulator`` plays policies in the
@@ -380,7 +381,7 @@ class _Table(NamedTuple):
 
 
 def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
-    """The Gymnasium environment's table of transitions, checked.
+    """Return the Gymnasium environment's table of transitions, checked.
 
     Raises:
         ModelError: there is none, or outcomes that are none, or do not sum to one.
@@ -430,17 +431,17 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
 
 
 def _keys(listed: Any) -> Any:
-    """Keys of a Gymnasium environment's dict, or positions in a list."""
+    """Return the keys of a Gymnasium environment's dict, or positions in a list."""
     return listed if isinstance(listed, Mapping) else range(len(listed))
 
 
 def _values(listed: Any) -> Any:
-    """Values of a Gymnasium environment's dict, or entries of a list."""
+    """Return the values of a Gymnasium environment's dict, or entries of a list."""
     return listed.values() if isinstance(listed, Mapping) else listed
 
 
 def _plain(value: Any) -> Any:
-    """A number from a Gymnasium environment as one of Python's; anything else as it is."""
+    """Return a number from a Gymnasium environment as one of Python's; anything else as it is."""
     return value.item() if isinstance(value, np.generic) else value
 
 
@@ -479,7 +480,7 @@ def _model_of_table(
     goal: Callable[[Any], bool] | None,
     cost: CostFunction,
 ) -> EnvironmentSSP:
-    """The model of a Gymnasium environment: every state of its table, and the ends.
+    """Return the model of a Gymnasium environment: every state of its table, and the ends.
 
     Args:
         table: of the environment.
@@ -540,7 +541,7 @@ def _model_of_table(
 
 
 def _fields_of(model: SSP) -> dict[str, Any]:
-    """Fields of a plain model, for the model of a Gymnasium environment."""
+    """Return the fields of a plain model, for the model of a Gymnasium environment."""
     return {name: getattr(model, name) for name in SSP.__dataclass_fields__}
 
 
@@ -563,7 +564,7 @@ def _costs_of_outcomes(
 
 
 def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
-    """Whether the Gymnasium environment terminates in a state with a reward, [states].
+    """Return whether the Gymnasium environment terminates in a state with a reward, [states].
 
     Raises:
         ModelError: there are none, or one is entered with a reward and without.
@@ -721,7 +722,7 @@ class _Player:
         self.ended = cache(lambda member: member.ended)  # [states], whatever came before
 
     def decide(self, member: Policy, state: int, memory: int) -> tuple[int, int]:
-        """A pair, or GIVE_UP_CODE, and the memory with which it is taken."""
+        """Return a pair, or GIVE_UP_CODE, and the memory with which it is taken."""
         pairs, kept, cumulative = self._branches(member, state, memory)
         drawn = 0
         if len(pairs) > 1:
@@ -731,7 +732,8 @@ class _Player:
     def _asked(
         self, member: Policy, state: int, memory: int
     ) -> tuple[list[int], list[int], list[float]]:
-        """The decisions of a member, the memories with which they are played, running sums."""
+        """Return the decisions of a member, the memories with which they are played, running sums.
+        """
         branches = member.branches(np.array([state]), np.array([memory]))
         kept = branches.kept(np.array([memory]))
         if UNDECIDED in branches.pair:
@@ -742,7 +744,7 @@ class _Player:
         return branches.pair.tolist(), kept.tolist(), np.cumsum(branches.probability).tolist()
 
     def _remembered(self, member: Policy, *step: float) -> int:
-        """Memory of a policy played in an environment after a step."""
+        """Return the memory of a policy played in an environment after a step."""
         memory, pair, state, cost = (np.array([part]) for part in step)
         return int(member.remember(memory, pair, state, cost)[0])
 

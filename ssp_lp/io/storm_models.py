@@ -41,7 +41,7 @@ _AVERAGED = (
 
 
 def _storm() -> Any:
-    """The module ``stormpy``.
+    """Return the module ``stormpy``.
 
     Raises:
         MissingDependencyError: it is not installed.
@@ -168,7 +168,8 @@ def _explored_program(
 
 
 def _reward_names(program: Any) -> list[str]:
-    """Names of the rewards of Storm's program; those of JANI are its transient numbers."""
+    """Return the names of the rewards of Storm's program; those of JANI are its transient numbers.
+    """
     if hasattr(program, "reward_models"):
         return sorted(reward.name for reward in program.reward_models)
     numbers = [v for v in program.global_variables if v.is_transient]
@@ -207,10 +208,11 @@ def _with_most_rewards(
 
 
 def _differs_between_outcomes(program: Any, cost: str) -> bool:
-    """Whether a program in JANI assigns a variable differently at destinations of one edge."""
+    """Return whether a program in JANI assigns a variable differently at destinations of one edge.
+    """
 
     def paid(destination: Any) -> float | str:
-        """The value assigned at a destination; as text where it is no number."""
+        """Return the value assigned at a destination; as text where it is no number."""
         for each in destination.assignments:
             if each.variable.name == cost:
                 value = each.expression
@@ -223,7 +225,7 @@ def _differs_between_outcomes(program: Any, cost: str) -> bool:
 
 
 def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
-    """Variables of states that Storm adds to those of a program in JANI.
+    """Return the variables of states that Storm adds to those of a program in JANI.
 
     Returns:
         The names of the locations that they stand for; None: they distinguish no states.
@@ -324,7 +326,7 @@ def _model_of_storm(
 def _state_names(
     archive: UmbArchive, added: Mapping[str, Sequence[str] | None]
 ) -> Sequence[Hashable] | None:
-    """Values of each state's variables, in Storm's order; None: they name no state.
+    """Return the values of each state's variables, in Storm's order; None: they name no state.
 
     Args:
         archive: Storm's.

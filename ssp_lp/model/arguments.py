@@ -93,7 +93,7 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
 
     @wraps(public)
     def call(*given: _Given.args, **named: _Given.kwargs) -> _Answer:
-        """The function, once its flags have been checked."""
+        """Return the function, once its flags have been checked."""
         stated = dict(zip(placed, given, strict=False)) | named if flags else {}
         for flag in flags:
             check_flag(flag, stated.get(flag, False))
@@ -188,7 +188,7 @@ def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | N
 
 
 def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:
-    """Whether an argument's value is of the hint's kind, whatever it holds."""
+    """Return whether an argument's value is of the hint's kind, whatever it holds."""
     if kind is Literal:
         return value in parts
     if kind is Callable:
@@ -206,7 +206,7 @@ def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:
 
 
 def _goes_into(function: Callable[..., object], *arguments: Any) -> bool:
-    """Whether a function takes some arguments."""
+    """Return whether a function takes some arguments."""
     try:
         function(*arguments)
     except (TypeError, ValueError, OverflowError):
@@ -215,7 +215,7 @@ def _goes_into(function: Callable[..., object], *arguments: Any) -> bool:
 
 
 def _in_words(hint: Any, *, several: bool = False) -> str:
-    """Type hint of an argument in words."""
+    """Return the type hint of an argument in words."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, UnionType):
         return " or ".join(dict.fromkeys(_in_words(part, several=several) for part in parts))

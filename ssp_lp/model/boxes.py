@@ -140,7 +140,7 @@ class Boxes(Report, ReadOnlyCopies):
         return f"Boxes({self.model!r}, widest {width:.3g}{sure})"
 
     def tables(self) -> Sequence[Table]:
-        """Each outcome with its count, probability and interval, and notes on wide boxes."""
+        """Return each outcome with its count, probability and interval, and notes on wide boxes."""
         model = self.model
         pair = segment_ids(model.outcome_offsets)
         counts = np.full(len(pair), np.nan) if model.counts is None else model.counts
@@ -182,7 +182,7 @@ def counts_of(model: SSP) -> FloatArray:
 def posterior_draws(
     model: SSP, draws: int, seed: int | np.random.Generator, *, prior: float = 1.0
 ) -> list[SSP]:
-    """Models with probabilities drawn from the posterior of their counts.
+    """Return the models with probabilities drawn from the posterior of their counts.
 
     The probabilities of each pair have a Dirichlet distribution, by itself, whose parameters are
     the counts and ``prior`` on top of each. Solve them by ``solve_many``, or evaluate one policy on
@@ -212,7 +212,7 @@ def posterior_draws(
 def greatest_mean(
     low: FloatArray, high: FloatArray, worth: FloatArray, offsets: IntArray
 ) -> FloatArray:
-    """Probabilities within boxes that make the mean of a worth greatest, [entries].
+    """Return the probabilities within boxes that make the mean of a worth greatest, [entries].
 
     From the least probabilities on, what is missing to 1 goes to the best entries first.
 

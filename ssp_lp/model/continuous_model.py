@@ -81,21 +81,23 @@ class Axis:
         return ~((heights >= -ON_EDGE) & (heights <= self.cells + ON_EDGE))
 
     def above(self, heights: FloatArray) -> IntArray:
-        """Cell of the continuous model's axis at each height, the upper one on an edge."""
+        """Return the cell of the continuous model's axis at each height, the upper one on an edge.
+        """
         return self._numbered(np.floor(heights + ON_EDGE))
 
     def below(self, heights: FloatArray) -> IntArray:
-        """Cell of the continuous model's axis at each height, the lower one on an edge."""
+        """Return the cell of the continuous model's axis at each height, the lower one on an edge.
+        """
         return self._numbered(np.ceil(heights - ON_EDGE) - 1.0)
 
     def wrapped(self, values: FloatArray) -> FloatArray:
-        """Coordinates of a periodic axis within low and high; others as they are."""
+        """Return the coordinates of a periodic axis within low and high; others as they are."""
         if not self.periodic:
             return values
         return self.low + np.mod(values - self.low, self.high - self.low)
 
     def _numbered(self, cells: FloatArray) -> IntArray:
-        """Numbers of cells on the continuous model's axis, kept within it."""
+        """Return the numbers of cells on the continuous model's axis, kept within it."""
         if self.periodic:
             inside = cells - self.cells * np.floor(cells / self.cells)
         else:
@@ -147,7 +149,7 @@ class Grid:
 
     @explained
     def centre(self, cells: npt.ArrayLike) -> FloatArray:
-        """Midpoints of grid cells: numbers of any shape -> [..., axes]."""
+        """Return the midpoints of grid cells: numbers of any shape -> [..., axes]."""
         index = zip(self.axes, self.index_of(cells), strict=True)
         return np.stack([axis.low + (k + 0.5) * axis.width for axis, k in index], axis=-1)
 
@@ -167,7 +169,7 @@ class Grid:
 
     @explained
     def cell_of(self, points: npt.ArrayLike) -> Any:
-        """Grid cell of each point: [..., axes] -> numbers, an int for a single point.
+        """Return the grid cell of each point: [..., axes] -> numbers, an int for a single point.
 
         Raises:
             ModelError: a point lies outside the box, or has another number of coordinates.
@@ -218,7 +220,7 @@ class Grid:
         return totals
 
     def __str__(self) -> str:
-        """The box, interval by interval."""
+        """Return the box, interval by interval."""
         return "the box " + " x ".join(
             f"[{axis.low:g}, {axis.high:g}{')' if axis.periodic else ']'}" for axis in self.axes
         )
@@ -271,7 +273,7 @@ class Distribution(ReadOnlyCopies):
         return cls(quantile, read_only(atoms), read_only(chance))
 
     def __repr__(self) -> str:
-        """The quantile function, or how many values there are."""
+        """Return the quantile function, or how many values there are."""
         law = in_short(self.quantile) if self.values is None else f"{self.values.size} values"
         return f"Distribution({law})"
 
@@ -291,7 +293,7 @@ def _between(low: float, high: float, levels: FloatArray) -> FloatArray:
 
 
 def _atoms_at(atoms: FloatArray, cumulative: FloatArray, levels: FloatArray) -> FloatArray:
-    """Discrete noise of a continuous model at each level, like ``levels``."""
+    """Return the discrete noise of a continuous model at each level, like ``levels``."""
     return np.asarray(atoms[np.searchsorted(cumulative, levels, side="right")])
 
 

@@ -69,7 +69,7 @@ class Quadrature:
         noise = tuple(placed[len(axes) :])
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
-            """The nodes in some cells, and those of the noise."""
+            """Return the nodes in some cells, and those of the noise."""
             index = zip(axes, model.grid.index_of(cells), placed, strict=False)
             return tuple(axis.low + (k + node) * axis.width for axis, k, node in index), noise
 
@@ -99,7 +99,7 @@ class Quadrature:
         ]
 
     def _levels(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Quadrature points in (0, 1) and weights that sum to 1."""
+        """Return the quadrature points in (0, 1) and weights that sum to 1."""
         if self.rule == "midpoint":
             return (np.arange(count) + 0.5) / count, np.full(count, 1.0 / count)
         if self.rule == "gauss-legendre":
@@ -133,7 +133,7 @@ class Samples:
         rng, axes = np.random.default_rng(self.seed), model.grid.axes
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
-            """Points drawn in some cells, and the noise at each."""
+            """Return the points drawn in some cells, and the noise at each."""
             shape = (int(self.number), len(cells))
             index = zip(axes, model.grid.index_of(cells), strict=True)
             point = tuple(axis.low + (k + rng.random(shape)) * axis.width for axis, k in index)
@@ -181,7 +181,7 @@ class Outcomes(NamedTuple):
     costs: FloatArray  # [outcomes], or [] for one number
 
     def rows(self, wanted: IntArray) -> Outcomes:
-        """Rows of discretised outcomes with these numbers, one after the other."""
+        """Return the rows of discretised outcomes with these numbers, one after the other."""
         places, lengths = entries_of(self.outcome_offsets, wanted)
         costs = self.costs[places] if self.costs.ndim else self.costs
         return Outcomes(
@@ -303,7 +303,7 @@ def discretised_rows(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[IntArray, Outcomes]:
-    """Rows of some states of a discretised world, those of :func:`discretise`'s model.
+    """Return the rows of some states of a discretised world, those of :func:`discretise`'s model.
 
     With a quadrature they are the same whatever range they are asked for in; where pairs are said
     to be alike, one of those in the range is worked out for all of these.
@@ -446,7 +446,7 @@ def _repeated_rows(
     row_of_pair: IntArray,
     most_checks: int = 30,
 ) -> Outcomes:
-    """The rows of discretised pairs, from those of the distinct ones.
+    """Return the rows of discretised pairs, from those of the distinct ones.
 
     Some of those that are said to be alike are worked out once more.
 

@@ -161,14 +161,14 @@ class FailureSSP(ProductSSP):
         return places
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """States of the failure product after steps of these pairs, [episodes]."""
+        """Return the states of the failure product after steps of these pairs, [episodes]."""
         failed = self.fails[pairs] | self.after[self.pair_state[pairs]]
         return np.asarray(successors + self.n_original * failed)
 
     def spread_costs(
         self, costs: FloatArray, charge: FloatArray, *, through: bool = False
     ) -> FloatArray:
-        """Costs of the original as counted in the failure product, [outcomes].
+        """Return the costs of the original as counted in the failure product, [outcomes].
 
         Args:
             costs: [original outcomes].
@@ -240,7 +240,7 @@ def label_failing(
 
 
 def check_label(model: SSP) -> FailureSSP:
-    """The model, if it is a product with the label of failing.
+    """Return the model, if it is a product with the label of failing.
 
     Raises:
         ModelError: they do not.

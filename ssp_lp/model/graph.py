@@ -95,7 +95,7 @@ def possible_steps(
     probabilities: FloatArray,
     chosen: BoolArray | None = None,
 ) -> tuple[IntArray, IntArray]:
-    """Edges of the model's graph: the outcomes of positive probability.
+    """Return the edges of the model's graph: the outcomes of positive probability.
 
     Args:
         outcome_offsets: [pairs + 1].
@@ -137,7 +137,8 @@ def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
 
 @kept
 def hopeless_states(model: SSP) -> BoolArray:
-    """States from which no policy reaches the goal, X_{d,all} of section 2.3, [states]."""
+    """Return the states from which no policy reaches the goal, X_{d,all} of section 2.3, [states].
+    """
     return ~reaching_states(model, model.goal_mask)
 
 
@@ -177,7 +178,7 @@ def attention_states(model: SSP) -> BoolArray:
 
 @kept
 def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
-    """States from which some policy reaches the goal with probability one, and how.
+    """Return the states from which some policy reaches the goal with probability one, and how.
 
     The greatest set of states each of which can reach the goal by pairs that never leave the set.
     In rounds: what cannot reach the goal is dropped, with all pairs that may lead there.
@@ -216,12 +217,12 @@ def surely_ending(
 
 @kept
 def goal_pairs(model: SSP) -> BoolArray:
-    """Pairs of the graph that may lead to a goal, [pairs]."""
+    """Return the pairs of the graph that may lead to a goal, [pairs]."""
     return pairs_into(model, model.goal_mask)
 
 
 def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
-    """Pairs of the graph that may lead to one of the states, [pairs].
+    """Return the pairs of the graph that may lead to one of the states, [pairs].
 
     Args:
         states: [states].
@@ -230,7 +231,7 @@ def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
 
 
 def _with_outcomes(model: Graph, marked: BoolArray) -> BoolArray:
-    """Pairs of the graph with a marked outcome of positive probability, [pairs].
+    """Return the pairs of the graph with a marked outcome of positive probability, [pairs].
 
     Args:
         model: the graph.
@@ -247,7 +248,7 @@ def _with_outcomes(model: Graph, marked: BoolArray) -> BoolArray:
 
 
 def attention_pairs(model: SSP, attention: BoolArray) -> BoolArray:
-    """Pairs of attention states whose successors are all attention states, [pairs].
+    """Return the pairs of attention states whose successors are all attention states, [pairs].
 
     Args:
         attention: the result of :func:`attention_states`, [states].
@@ -274,7 +275,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 
 
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
-    """The model's graph for scipy's search of reachable states; weights take no room."""
+    """Return the model's graph for scipy's search of reachable states; weights take no room."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape = len(offsets) - 1, len(offsets) - 1
     return sp.csr_array((weights, columns, narrow(offsets)), shape=shape)
@@ -302,7 +303,7 @@ def nearer_pairs(
     usable: BoolArray | None = None,
     distance: IntArray | None = None,
 ) -> IntArray:
-    """Pair of each state that comes nearer to a leaving pair in the graph.
+    """Return the pair of each state that comes nearer to a leaving pair in the graph.
 
     A state with a leaving pair of its own takes that. Among pairs that come equally near, the
     first is taken.
@@ -430,17 +431,18 @@ def stop_marks(model: SSP) -> IntArray:
 
 
 def dead_end_labels(model: SSP) -> frozenset[Hashable]:
-    """Labels of the dead-ends X_{d,all} by the graph: no policy reaches the goal."""
+    """Return the labels of the dead-ends X_{d,all} by the graph: no policy reaches the goal."""
     return frozenset(model.states[i] for i in dead_ends(model).nonzero()[0].tolist())
 
 
 def attention_labels(model: SSP) -> frozenset[Hashable]:
-    """Labels of the attention states X_{d,or} by the graph: some policy avoids the goal."""
+    """Return the labels of the attention states X_{d,or} by the graph: some policy avoids the goal.
+    """
     return frozenset(model.states[i] for i in attention_states(model).nonzero()[0].tolist())
 
 
 def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArray]:
-    """Maximal end components of the model's graph, restricted to the allowed pairs.
+    """Return the maximal end components of the model's graph, restricted to the allowed pairs.
 
     An end component is a set of states and of pairs whose successors all stay in the set, that is
     strongly connected by these pairs. In rounds: what cannot stay among the allowed pairs is

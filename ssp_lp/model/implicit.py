@@ -65,7 +65,7 @@ class ExploredSSP(SSP):
         return f", or was not explored{super().hint(state)}"
 
     def explored(self) -> SSP:
-        """The explored part as an ordinary model: states of the fringe are dead-ends.
+        """Return the explored part as an ordinary model: states of the fringe are dead-ends.
 
         They bear the label "unexplored"; actions are those of the whole model.
         """
@@ -247,7 +247,7 @@ class Exploration:
         self._price(known, begin, spent.tolist())
 
     def part(self, survival: float, may_end: bool, *, charged: bool) -> ExploredSSP:
-        """The explored part as a model.
+        """Return the explored part as a model.
 
         Args:
             survival: factor of every step, under a discount.
@@ -308,7 +308,8 @@ class Exploration:
         return part
 
     def _own_ways(self, rows: IntArray) -> _Ways:
-        """The actions of the expanded states; ``rows`` are the states in the explored part."""
+        """Return the actions of the expanded states; ``rows`` are the states in the explored part.
+        """
         flat = self.flat.arrays
         counts, lengths = np.diff(flat["pair_offsets"]), np.diff(flat["outcome_offsets"])
         return _Ways(
@@ -323,7 +324,7 @@ class Exploration:
     def _ways_out(
         self, fringe: IntArray, n_expanded: int, survival: float, names: list[str]
     ) -> _Ways:
-        """The two ways out of each state of the fringe: "arrive" at its bounds, and "fail".
+        """Return the two ways out of each state of the fringe: "arrive" at its bounds, and "fail".
 
         Args:
             fringe: numbers of the states, which come after the expanded ones.
@@ -367,7 +368,7 @@ class _Ways(NamedTuple):
 
     @staticmethod
     def joined(blocks: Sequence[_Ways]) -> _Ways:
-        """All of some blocks, in the order of their states."""
+        """Return all of some blocks, in the order of their states."""
         owner, lengths, *flat = (
             np.concatenate(parts) for parts in list(zip(*blocks, strict=True))[:5]
         )
@@ -398,7 +399,7 @@ class _Ways(NamedTuple):
         return hoped & ~known
 
     def least_costs(self, n_expanded: int) -> FloatArray:
-        """Expected cost of each expanded state's cheapest action, [expanded]."""
+        """Return the expected cost of each expanded state's cheapest action, [expanded]."""
         means = segment_sums(self.chances * self.costs[:, 0], offsets_of(self.lengths))
         counts = np.bincount(self.owner, minlength=n_expanded)
         return segment_minima(means, offsets_of(counts))

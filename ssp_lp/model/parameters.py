@@ -22,12 +22,12 @@ class Affine:
         self.constant, self.slopes, self.values = constant, dict(slopes), dict(values)
 
     def __float__(self) -> float:
-        """The expression at the values of its parameters."""
+        """Return the expression at the values of its parameters."""
         terms = (slope * self.values[name] for name, slope in self.slopes.items())
         return float(self.constant + sum(terms))
 
     def __add__(self, other: Affine | float) -> Affine:
-        """The sum.
+        """Return the sum.
 
         Raises:
             ModelError: one parameter has two values, or the other summand is no number.
@@ -45,7 +45,7 @@ class Affine:
         return Affine(self.constant + other.constant, slopes, {**self.values, **other.values})
 
     def __mul__(self, factor: float) -> Affine:
-        """The multiple by a number."""
+        """Return the multiple by a number."""
         times = _factor(factor)
         slopes = {name: times * slope for name, slope in self.slopes.items()}
         return Affine(times * self.constant, slopes, self.values)
@@ -54,7 +54,7 @@ class Affine:
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: float) -> Affine:
-        """The quotient by a number."""
+        """Return the quotient by a number."""
         return self * (1.0 / _factor(divisor))
 
     def _refuse(self, other: object) -> NoReturn:
@@ -70,19 +70,19 @@ class Affine:
     __rtruediv__ = __pow__ = __rpow__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse
 
     def __neg__(self) -> Affine:
-        """The opposite."""
+        """Return the opposite."""
         return self * -1.0
 
     def __sub__(self, other: Affine | float) -> Affine:
-        """The difference."""
+        """Return the difference."""
         return self + -other
 
     def __rsub__(self, other: float) -> Affine:
-        """The difference."""
+        """Return the difference."""
         return -self + other
 
     def __repr__(self) -> str:
-        """The expression as it would be typed."""
+        """Return the expression as it would be typed."""
         signs = {1.0: "", -1.0: "-"}
         terms = [signs.get(s, f"{s:g} * ") + name for name, s in self.slopes.items()]
         constant = [f"{self.constant:g}"] if self.constant or not terms else []
@@ -119,7 +119,7 @@ class Parameter(Affine):
 
 
 def _factor(value: float) -> float:
-    """A number that goes with a parameter; :class:`ModelError` if it is none."""
+    """Return a number that goes with a parameter; :class:`ModelError` if it is none."""
     if isinstance(value, Affine):
         raise ModelError(f"{value!r} is multiplied by a parameter: expressions must be affine")
     if not isinstance(value, Real):

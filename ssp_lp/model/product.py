@@ -44,12 +44,12 @@ Label = tuple[Hashable, Hashable]
 
 
 def _always_in_product(memory: Any) -> bool:
-    """A memory of a product that accepts everything."""
+    """Return a memory of a product that accepts everything."""
     return True
 
 
 def _never_in_product(memory: Any) -> bool:
-    """A memory of a product that never fails."""
+    """Return a memory of a product that never fails."""
     return False
 
 
@@ -174,7 +174,7 @@ class ProductSSP(SSP):
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Pairs of some product states that are pairs of the original, [entries].
+        """Return the pairs of some product states that are pairs of the original, [entries].
 
         Args:
             states: of the product, [entries].
@@ -184,7 +184,7 @@ class ProductSSP(SSP):
         return np.asarray(pairs + shift)
 
     def at(self, states: IntArray, numbers: IntArray) -> IntArray:
-        """States of the product by what is remembered, [entries].
+        """Return the states of the product by what is remembered, [entries].
 
         Args:
             states: of the original, [entries].
@@ -203,7 +203,7 @@ class ProductSSP(SSP):
         return places
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """States of the product after steps, [episodes].
+        """Return the states of the product after steps, [episodes].
 
         Args:
             pairs: of the product, [episodes].
@@ -217,7 +217,7 @@ class ProductSSP(SSP):
 
         @cache
         def updated(pair: int, successor: int, cost: float) -> int:
-            """Number of the product's memory after a step."""
+            """Return the number of the product's memory after a step."""
             (state, kept), there = self.labels[int(self.pair_state[pair])], model.states[successor]
             step = kept, state, self.action_of(pair), there, cost
             if (after := update(*step)) not in self.memory_number:
@@ -243,7 +243,7 @@ class ProductSSP(SSP):
         return self.successors[place].astype(np.int64), place
 
     def places_of(self, state: Hashable) -> IntArray:
-        """State of the product with this label, or all for a state of the original.
+        """Return the state of the product with this label, or all for a state of the original.
 
         Raises:
             ModelError: neither model has a state with the label.
@@ -273,7 +273,7 @@ class ProductSSP(SSP):
         return read_only(table)
 
     def find(self, state: Hashable) -> int | None:
-        """Index of the product's state (state, memory), None if there is none."""
+        """Return the index of the product's state (state, memory), None if there is none."""
         if not (isinstance(state, tuple) and len(state) == 2):
             return None
         here = self.original.find(state[0])
@@ -288,7 +288,7 @@ class ProductSSP(SSP):
 
 
 def copied_parts(model: SSP, pairs: IntArray, outcomes: IntArray) -> dict[str, Any]:
-    """Fields of a product that are copies of the model's.
+    """Return the fields of a product that are copies of the model's.
 
     Args:
         model: the model.
@@ -335,7 +335,7 @@ def product(
         raise ModelError(f"product takes a Memory after the model, not {memory!r}")
 
     def is_goal(label: Label) -> bool:
-        """Whether a goal of the original is reached, by a memory that accepts it."""
+        """Return whether a goal of the original is reached, by a memory that accepts it."""
         state, kept = label
         at_goal = bool(model.goal_mask[model.index_of(state)])
         return at_goal and not memory.fails(kept) and bool(memory.accepts(kept))
@@ -384,7 +384,7 @@ def product(
 def labels_in_product(
     model: SSP, state: IntArray, own: Mapping[str, BoolArray]
 ) -> dict[str, IntArray]:
-    """The labels of the original's states in a product, and its own; a label may say both.
+    """Return the labels of the original's states in a product, and its own; a label may say both.
 
     Args:
         model: the original.
@@ -399,7 +399,7 @@ def labels_in_product(
 
 
 def check_product(model: SSP) -> ProductSSP:
-    """The model, if it is a product.
+    """Return the model, if it is a product.
 
     Raises:
         ModelError: it is not.
@@ -443,7 +443,7 @@ def within_steps(
     start: Iterable[Hashable] | None = None,
     survive: bool | Iterable[str] = False,
 ) -> HorizonSSP:
-    """The model in which an episode fails unless it reaches the goal within so many steps.
+    """Return the model in which an episode fails unless it reaches the goal within so many steps.
 
     It is the product with a memory that counts steps, made from arrays at once. A policy on it
     knows how many steps are left; ``on_original`` lets it act on the model's states. To go on for
@@ -501,7 +501,7 @@ def within_steps(
 def unroll_steps(
     model: SSP, steps: int, begin: Sequence[int] | None, survive: tuple[str, ...] | None = None
 ) -> HorizonSSP:
-    """The model of :func:`within_steps`, whether a goal can be reached in it or not.
+    """Return the model of :func:`within_steps`, whether a goal can be reached in it or not.
 
     Args:
         model: the model.
@@ -554,7 +554,7 @@ def unroll_steps(
 
 
 def _reached_within_steps(model: SSP, begin: Sequence[int] | None, steps: int) -> BoolArray:
-    """States of the product that an episode may be in by step, [steps + 1, states].
+    """Return the states of the product that an episode may be in by step, [steps + 1, states].
 
     Raises:
         ModelError: there are too many of both.

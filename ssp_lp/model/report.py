@@ -77,7 +77,7 @@ class Table:
         return f"{value:,}" if isinstance(value, int) else str(value)
 
     def lines(self) -> list[str]:
-        """Lines of text: the title, aligned columns, and the notes."""
+        """Return the lines of text: the title, aligned columns, and the notes."""
         rows, left = self.cells(), self.left if self.head else 2
         rows = [self._shown_head, *rows] if self.head and rows else rows
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -111,11 +111,11 @@ class Table:
         return "\n".join(["<table>", caption, *lines, "</table>", *notes])
 
     def records(self) -> list[dict[str, Any]]:
-        """Each row as ``{column: value}``."""
+        """Return each row as ``{column: value}``."""
         return [dict(zip(self.columns, row, strict=False)) for row in self.rows]
 
     def to_frame(self) -> Any:
-        """All rows as a pandas ``DataFrame``.
+        """Return all rows as a pandas ``DataFrame``.
 
         Raises:
             MissingDependencyError: pandas is not installed.
@@ -150,7 +150,7 @@ class Report:
         return "\n".join(table.html() for table in self.tables())
 
     def to_frame(self) -> Any:
-        """All rows of the first table as a pandas ``DataFrame``.
+        """Return all rows of the first table as a pandas ``DataFrame``.
 
         Raises:
             MissingDependencyError: pandas is not installed.

@@ -618,7 +618,7 @@ class SSP(Graph, ReadOnlyCopies):
         return model
 
     def with_cost(self, name: str) -> SSP:
-        """The same model with another of its named costs as the one that counts.
+        """Return the same model with another of its named costs as the one that counts.
 
         Raises:
             ModelError: it has no cost of this name.
@@ -626,7 +626,7 @@ class SSP(Graph, ReadOnlyCopies):
         return replace(self, costs=self.cost_named(name))
 
     def with_parameters(self, **values: float) -> SSP:
-        """The same model with other values of its parameters.
+        """Return the same model with other values of its parameters.
 
         Args:
             values: by name; the other parameters keep theirs.
@@ -660,7 +660,7 @@ class SSP(Graph, ReadOnlyCopies):
         costs: Mapping[tuple[str, int], float],
         step: float,
     ) -> SSP:
-        """The same model with some of its numbers moved, unchecked.
+        """Return the same model with some of its numbers moved, unchecked.
 
         Args:
             probabilities: by how much each moves for a step of 1, by outcome.
@@ -679,7 +679,7 @@ class SSP(Graph, ReadOnlyCopies):
 
     @explained
     def with_labels(self, state_labels: Mapping[str, StateSet]) -> SSP:
-        """The same model with further names for sets of states, as in ``from_transitions``.
+        """Return the same model with further names for sets of states, as in ``from_transitions``.
 
         Raises:
             ModelError: an unknown member, or a name that reports use for something else.
@@ -694,7 +694,7 @@ class SSP(Graph, ReadOnlyCopies):
 
     @explained
     def with_dead_ends(self, dead_ends: DeadEnds | None) -> Self:
-        """The same model, once it is certain that it has no dead-ends besides these.
+        """Return the same model, once it is certain that it has no dead-ends besides these.
 
         Args:
             dead_ends: states from which no action reaches the goal, labels of states among them,
@@ -722,7 +722,7 @@ class SSP(Graph, ReadOnlyCopies):
         return {own: self.costs, **{n: costs for n, costs in named.items() if n != own}}
 
     def cost_named(self, name: str) -> FloatArray:
-        """A cost by its name, [outcomes].
+        """Return a cost by its name, [outcomes].
 
         Raises:
             ModelError: the model has no cost of this name.
@@ -738,7 +738,7 @@ class SSP(Graph, ReadOnlyCopies):
         return {label: i for i, label in enumerate(self.states)}
 
     def index_of(self, state: Hashable, place: str = "") -> int:
-        """Index of the model's state with this label.
+        """Return the index of the model's state with this label.
 
         Args:
             state: the label.
@@ -754,7 +754,7 @@ class SSP(Graph, ReadOnlyCopies):
         return index
 
     def find(self, state: Hashable) -> int | None:
-        """Index of the model's state with this label, None if there is none."""
+        """Return the index of the model's state with this label, None if there is none."""
         if isinstance(self.states, range):
             is_index = isinstance(state, (int, np.integer)) and state in self.states
             return int(cast("int", state)) if is_index else None
@@ -770,7 +770,7 @@ class SSP(Graph, ReadOnlyCopies):
         return did_you_mean(state, self.states, "its states:")
 
     def places_of(self, state: Hashable) -> IntArray:
-        """All states of the model that a label stands for: here one, in a product several.
+        """Return all states of the model that a label stands for: here one, in a product several.
 
         Raises:
             ModelError: no state has the label.
@@ -778,7 +778,8 @@ class SSP(Graph, ReadOnlyCopies):
         return np.array([self.index_of(state)])
 
     def action_of(self, pair: int) -> Hashable:
-        """Label of the action of a model's pair; :class:`ModelError` if there is none."""
+        """Return the label of the action of a model's pair; :class:`ModelError` if there is none.
+        """
         try:
             return self.action_names[int(self.pair_action[pair])]
         except (IndexError, TypeError) as error:
@@ -786,11 +787,11 @@ class SSP(Graph, ReadOnlyCopies):
             raise ModelError(f"{pair!r} is no pair of the model: they are 0 .. {last}") from error
 
     def pairs_of(self, state: int) -> range:
-        """The model's pairs of a state."""
+        """Return the model's pairs of a state."""
         return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
 
     def pair_of(self, state: int, action: Hashable) -> int:
-        """The model's pair of a state and an action's label.
+        """Return the model's pair of a state and an action's label.
 
         Raises:
             ModelError: the state does not have the action.
@@ -823,7 +824,7 @@ class SSP(Graph, ReadOnlyCopies):
         return made
 
     def staying_free(self, free: BoolArray) -> BoolArray:
-        """States of the model's end components of free pairs, [states].
+        """Return the states of the model's end components of free pairs, [states].
 
         Args:
             free: pairs among which one may stay, [pairs].
@@ -851,7 +852,7 @@ class SSP(Graph, ReadOnlyCopies):
         return f"{type(self).__name__}({sizes})"
 
     def _repr_html_(self) -> str:
-        """The model's sizes as a table, for notebooks."""
+        """Return the model's sizes as a table, for notebooks."""
         return Table([*self._sizes.items()], title=type(self).__name__).html()
 
     @cached_property
@@ -1044,7 +1045,7 @@ class FlatModel:
                 known.costs[cost, outcome] = slope
 
     def _paid(self, cost: Any, state: Hashable, action: Hashable, name: str = "cost") -> float:
-        """A cost as a float; a fraction and parameters are remembered."""
+        """Return a cost as a float; a fraction and parameters are remembered."""
         if isinstance(cost, Affine):
             self._place(cost, name, state, action)
         paid = _number(cost, "cost", state, action)
@@ -1053,7 +1054,7 @@ class FlatModel:
         return paid
 
     def _paid_by_name(self, costs: Mapping[Any, Any], state: Hashable, action: Hashable) -> float:
-        """The cost that counts of an outcome, all of whose costs are remembered by name."""
+        """Return the cost that counts of an outcome, all of whose costs are remembered by name."""
         named: dict[str, list[float]] = self.arrays["named_costs"]
         where = f"action {action!r} of state {state!r}"
         if not self.arrays["costs"]:
@@ -1090,7 +1091,7 @@ def csv_columns(path: str | PathLike[str]) -> dict[str, list[str | None]]:
 
 
 def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> float | Fraction | None:
-    """Number in a cell of a model's CSV file, a fraction where one is written."""
+    """Return the number in a cell of a model's CSV file, a fraction where one is written."""
     try:
         return cell if cell is None else Fraction(cell) if "/" in cell else float(cell)
     except (ValueError, ZeroDivisionError) as error:
@@ -1101,7 +1102,7 @@ def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> floa
 
 
 def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
-    """A column of a table as Python's own values; of several columns tuples.
+    """Return a column of a table as Python's own values; of several columns tuples.
 
     Raises:
         ModelError: there is no such column, or a cell is empty.
@@ -1159,7 +1160,7 @@ def _check_hashable(state: Any, where: str) -> None:
 
 
 def _number(value: Any, what: str, state: Hashable, action: Hashable) -> float:
-    """Number of a model's outcome, as a float."""
+    """Return the number of a model's outcome, as a float."""
     if not isinstance(value, (str, bytes)):
         with suppress(TypeError, ValueError, OverflowError):
             return float(value)
@@ -1240,7 +1241,7 @@ def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
 
 
 def _costs_of_outcomes(costs: npt.ArrayLike, outcome_offsets: IntArray) -> FloatArray:
-    """Costs of a model's outcomes, [outcomes]; a number for all of them takes no room.
+    """Return the costs of a model's outcomes, [outcomes]; a number for all of them takes no room.
 
     Args:
         costs: one number, or one per pair, or one per outcome.
@@ -1349,7 +1350,7 @@ _NO_DIGITS = str.maketrans("", "", "0123456789")
 
 
 def _with_a_letter_less(name: Any, least: int = 4) -> set[str]:
-    """A state's name without one of its letters, each in turn, and as it stands.
+    """Return a state's name without one of its letters, each in turn, and as it stands.
 
     Nothing for what is no name, or so short that it resembles others anyway.
     """
@@ -1359,7 +1360,7 @@ def _with_a_letter_less(name: Any, least: int = 4) -> set[str]:
 
 
 def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
-    """Mask of a model's goal states from their indices, [states].
+    """Return the mask of a model's goal states from their indices, [states].
 
     Raises:
         ModelError: there are none, or one is no index of a state.
@@ -1383,7 +1384,7 @@ def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
 def _action_table(
     actions: Sequence[Hashable] | None, pair_offsets: IntArray
 ) -> tuple[Sequence[Hashable], IntArray]:
-    """Distinct action labels of a model and, per pair, the position of its label."""
+    """Return the distinct action labels of a model and, per pair, the position of its label."""
     n_pairs = int(pair_offsets[-1])
     if actions is None:
         counts = np.diff(pair_offsets)
@@ -1404,7 +1405,7 @@ def _action_table(
 
 
 def _indexed_labels(model: SSP, labels: Mapping[str, StateSet]) -> Mapping[str, IntArray]:
-    """State labels of a model with their members as sorted indices.
+    """Return the state labels of a model with their members as sorted indices.
 
     Raises:
         ModelError: an unknown member, or a name that reports use for something else.

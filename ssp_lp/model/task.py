@@ -57,7 +57,7 @@ class _Reader:
         self.tokens.append(("end", "", len(text.rstrip())))
 
     def _error(self, told: str, position: int) -> ModelError:
-        """The error at a position of the text, which a caret shows."""
+        """Return the error at a position of the text, which a caret shows."""
         return ModelError(f"task: {told}\n  {self.text}\n  {' ' * position}^")
 
     def _takes(self, *signs: str) -> str:
@@ -69,7 +69,7 @@ class _Reader:
         return name
 
     def whole(self) -> Formula:
-        """The formula of the text.
+        """Return the formula of the text.
 
         Raises:
             ModelError: the text is no formula.
@@ -80,7 +80,7 @@ class _Reader:
         return _negated_at_names(formula)
 
     def _binary(self, level: int) -> Formula:
-        """A formula of binary operators of a level, or of one that binds more."""
+        """Return a formula of binary operators of a level, or of one that binds more."""
         if level == len(_LEVELS):
             return self._unary()
         left = self._binary(level + 1)
@@ -96,7 +96,7 @@ class _Reader:
         return left
 
     def _unary(self) -> Formula:
-        """A name, a constant, a formula in brackets, or one after an operator of its own."""
+        """Return a name, a constant, a formula in brackets, or one after an operator of its own."""
         kind, name, position = self.tokens[self.place]
         if kind in ("word", "quoted"):
             self.place += 1
@@ -129,7 +129,8 @@ def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
 
 
 def _simplest(alternatives: Iterable[frozenset[Formula]]) -> Obligation:
-    """Alternatives without those that ask for more than another one: equal in one form."""
+    """Return the alternatives without those that ask for more than another one: equal in one form.
+    """
     every = frozenset(alternatives)
     return frozenset(a for a in every if not any(b < a for b in every))
 
@@ -140,7 +141,7 @@ def _both(a: Obligation, b: Obligation) -> Obligation:
 
 
 def _alternatives(formula: Formula) -> Obligation:
-    """A formula as an obligation, conjunctions and disjunctions taken apart."""
+    """Return a formula as an obligation, conjunctions and disjunctions taken apart."""
     if formula[0] in ("and", "or"):
         first, second = map(_alternatives, formula[1:])
         return _both(first, second) if formula[0] == "and" else _simplest(first | second)
@@ -187,7 +188,7 @@ def _left(obligation: Obligation, seen: frozenset[str], go_on: bool = True) -> O
 
 
 def _text(formula: Formula, inside: bool = False) -> str:
-    """A formula as it may be typed, in brackets inside another one if it is binary."""
+    """Return a formula as it may be typed, in brackets inside another one if it is binary."""
     kind, *parts = formula
     if kind in ("true", "false"):
         return str(kind)
@@ -204,7 +205,7 @@ def _text(formula: Formula, inside: bool = False) -> str:
 
 
 def _obligation_text(obligation: Obligation) -> str:
-    """An obligation as it may be typed."""
+    """Return an obligation as it may be typed."""
     inside = len(obligation) > 1
     texts = [
         " & ".join(sorted(_text(f, inside or len(each) > 1) for f in each)) for each in obligation
@@ -252,7 +253,7 @@ class Task:
         return tuple(found)
 
     def seen(self, model: SSP) -> tuple[IntArray, IntArray]:
-        """The names that hold, as sums of powers of two in the order of ``names``.
+        """Return the names that hold, as sums of powers of two in the order of ``names``.
 
         Args:
             model: the model.
@@ -286,7 +287,7 @@ class Task:
         return states, states[model.pair_state] | actions[model.pair_action]
 
     def _read(self, letters: IntArray) -> list[frozenset[str]]:
-        """The names that hold by each letter, a sum of powers of two, [letters]."""
+        """Return the names that hold by each letter, a sum of powers of two, [letters]."""
         return [
             frozenset(name for bit, name in enumerate(self.names) if letter >> bit & 1)
             for letter in letters.tolist()
@@ -294,7 +295,7 @@ class Task:
 
     @explained
     def automaton(self, model: SSP) -> Automaton:
-        """The automaton of the task on a model, which prints; its values are obligations.
+        """Return the automaton of the task on a model, which prints; its values are obligations.
 
         Args:
             model: the model, whose labels and actions the task names.
@@ -307,7 +308,7 @@ class Task:
         return self.followed(model)[0]
 
     def followed(self, model: SSP) -> tuple[Automaton, BoolArray]:
-        """The automaton, and whether a trace that ends in a state satisfies the task.
+        """Return the automaton, and whether a trace that ends in a state satisfies the task.
 
         Returns:
             The automaton, and [values, states].
@@ -338,14 +339,14 @@ class Task:
         return automaton, read_only(np.array(ends, dtype=np.bool_)[:, by_state])
 
     def satisfied(self, product: TrackedSSP) -> BoolArray:
-        """Whether a trace that ends in a state of the product with the task satisfies it."""
+        """Return whether a trace that ends in a state of the product with the task satisfies it."""
         ends = self.followed(product.original)[1]
         return np.asarray(ends[product.labels.number, product.original_state])
 
 
 @explained
 def task(text: str) -> Task:
-    """A task: what a run must do, as a formula over labels of states and names of actions.
+    """Return a task: what a run must do, as a formula over labels of states and names of actions.
 
     The operators, those that bind most first: ``! X N F G``, ``U R``, ``&``, ``|``, ``->``,
     ``<->``. X f: there is a next position, and f holds there; N f: if there is one, f holds there;
@@ -367,7 +368,7 @@ def task(text: str) -> Task:
 
 @explained
 def reach(model: SSP, goal: Task, *, start: Iterable[Hashable]) -> TrackedSSP:
-    """The model whose goal is to satisfy a task.
+    """Return the model whose goal is to satisfy a task.
 
     A run ends at the first state at which its trace satisfies the task. The model's own goal ends
     it too, as a failure if the task is not satisfied.

@@ -65,12 +65,12 @@ class Automaton(Report, ReadOnlyCopies):
         ]
 
     def tables(self) -> list[Table]:
-        """The moves of the automaton, a row each."""
+        """Return the moves of the automaton, a row each."""
         rows = [(self.words[a], self.words[b], letters) for a, b, letters in self.edges()]
         return [Table(rows, ("value", "next", "after"), self.name, left=3)]
 
     def dot(self) -> str:
-        """The automaton as a graph in the language of Graphviz."""
+        """Return the automaton as a graph in the language of Graphviz."""
         quoted = [str(word).replace('"', "'") for word in self.words]
         edges = ((quoted[a], quoted[b], c) for a, b, c in self.edges())
         lines = [f'  "{a}" -> "{b}" [label="{letters}"]' for a, b, letters in edges]
@@ -85,7 +85,7 @@ class TrackedSSP(ProductSSP):
     follows: object = field(kw_only=True)  # what the automaton was made for
 
     def first_memory(self, states: IntArray) -> IntArray:
-        """Number of the automaton's value with which episodes begin, [episodes]."""
+        """Return the number of the automaton's value with which episodes begin, [episodes]."""
         return self.automaton.begin[states]
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
@@ -143,7 +143,7 @@ def track(
     begin: IntArray,
     succeeds: Callable[[IntArray, IntArray], BoolArray] | None = None,
 ) -> TrackedSSP:
-    """The product of a model with an automaton, from the states of the start.
+    """Return the product of a model with an automaton, from the states of the start.
 
     Args:
         model: the model.
@@ -167,11 +167,12 @@ def track(
     counts = np.diff(model.pair_offsets)
 
     def ends(value: IntArray, state: IntArray) -> BoolArray:
-        """Whether a run ends with success, [entries]."""
+        """Return whether a run ends with success, [entries]."""
         return model.goal_mask[state] if succeeds is None else succeeds(state, value)
 
     def steps(code: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
-        """Pairs by state, pairs, outcomes by pair, outcomes and ends out of some states."""
+        """Return the pairs by state, pairs, outcomes by pair, outcomes and ends out of some states.
+        """
         value, state = np.divmod(code, n)
         acting = np.where(ends(value, state), 0, counts[state])
         pairs = concatenated_ranges(model.pair_offsets[state], acting)

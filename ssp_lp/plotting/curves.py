@@ -48,7 +48,7 @@ LOOKS = (
 
 
 def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axes:
-    """Axes to draw a curve on: those given, or a new figure's of this size in inches.
+    """Return the axes to draw a curve on: those given, or a new figure's of this size in inches.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -170,7 +170,7 @@ def bounds_along(frontier: Frontier) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
-    """Budgets along a plotted curve, dense on a linear and on a logarithmic axis."""
+    """Return the budgets along a plotted curve, dense on a linear and on a logarithmic axis."""
     even = np.linspace(begin, end, count)
     if begin == 0.0:
         return even
@@ -287,7 +287,8 @@ def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: _Look, 
 
 
 def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
-    """Lower bounds to be plotted, proved by reports' prices; -inf: unknown, [reports]."""
+    """Return the lower bounds to be plotted, proved by reports' prices; -inf: unknown, [reports].
+    """
     budget, semantics = problem.failure_budget, problem.semantics
     if budget is None or problem.requirements.several_rows or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)

@@ -62,7 +62,7 @@ class Explorer:
         Path(path).write_text(self.page, encoding="utf-8")
 
     def _repr_html_(self) -> str:
-        """The page in a frame of its own, for notebooks."""
+        """Return the page in a frame of its own, for notebooks."""
         frame = 'width="100%" height="900" style="border: 0"'
         return f'<iframe srcdoc="{html.escape(self.page)}" {frame}></iframe>'
 
@@ -88,7 +88,7 @@ def explore(
     episodes: int = 20,
     seed: int = 0,
 ) -> Explorer:
-    """A page on which a slider moves along a frontier.
+    """Return a page on which a slider moves along a frontier.
 
     It shows the objective, the price, the lottery, how that fails, and the law of its cost; where
     states have places, what it does in each, how often it is there, and sample runs; else, of a
@@ -216,17 +216,17 @@ def _laws(
 
 
 def _short(numbers: FloatArray) -> list[float]:
-    """Numbers that are drawn, with as many digits as a picture shows."""
+    """Return the numbers that are drawn, with as many digits as a picture shows."""
     return [float(f"{x:.6g}") for x in numbers.tolist()]
 
 
 def _are_points(model: SSP) -> bool:
-    """Whether most states are pairs of numbers: places in the plane."""
+    """Return whether most states are pairs of numbers: places in the plane."""
     return sum(map(_is_point, model.states)) > 0.5 * model.n_states
 
 
 def _is_point(state: object) -> bool:
-    """Whether a state is a pair of numbers."""
+    """Return whether a state is a pair of numbers."""
     return (
         isinstance(state, tuple)
         and len(state) == 2
@@ -250,7 +250,7 @@ def _placed(points: FloatArray) -> BoolArray:
 
 
 def _layout(problem: Problem) -> FloatArray:
-    """States of a small model by how many steps they are from the start, [states, 2]."""
+    """Return the states of a small model by how many steps they are from the start, [states, 2]."""
     model = problem.model
     begun = np.flatnonzero(start_distribution(model, problem.start) > 0.0)
     rows = segment_ids(model.pair_offsets)[segment_ids(model.outcome_offsets)]
@@ -273,7 +273,8 @@ def _plane(
     *,
     is_graph: bool,
 ) -> dict[str, Any]:
-    """Visits of each place, and how much goes along each arrow, at each turning point."""
+    """Return the visits of each place, and how much goes along each arrow, at each turning point.
+    """
     model, known = problem.model, _placed(points)
     middles, inverse = np.unique(points[known], axis=0, return_inverse=True)
     place = np.full(model.n_states, -1)
@@ -351,7 +352,8 @@ def _runs(
 def _ground(
     problem: Problem, points: FloatArray, walls: list[Point], *, is_graph: bool
 ) -> dict[str, Any]:
-    """Places with goals, dead-ends, walls and the start; the states' names in a graph."""
+    """Return the places with goals, dead-ends, walls and the start; the states' names in a graph.
+    """
     known = _placed(points)
     everything = np.vstack([points[known], *np.array(walls, dtype=float).reshape(-1, 2)])
     limits = [everything.min(axis=0) - _AROUND, everything.max(axis=0) + _AROUND]
@@ -368,7 +370,7 @@ def _ground(
 
 
 def _page(frontier: Frontier, data: dict[str, Any]) -> str:
-    """The page as HTML."""
+    """Return the page as HTML."""
     problem = frontier.problem
     title = f"{type(problem).__name__}: {'objective' if frontier.maximises else 'least cost'}"
     title = f"{title} against {frontier.axis}"

@@ -60,7 +60,7 @@ def row_major(rows: int, columns: int) -> Callable[[int], Point]:
 
 
 def points_of(names: Iterable[Hashable], places: Places) -> FloatArray:
-    """Points in the plane of states or actions; nan where there is none, [names, 2].
+    """Return the points in the plane of states or actions; nan where there is none, [names, 2].
 
     Raises:
         ModelError: what is given for one is no point.
@@ -88,7 +88,7 @@ def cells_of(model: SSP, cells: Places) -> FloatArray:
 
 
 def size_of(points: FloatArray, walls: Iterable[Point]) -> tuple[float, float]:
-    """Width and height in inches of a plane picture of these cells."""
+    """Return the width and height in inches of a plane picture of these cells."""
     everything = np.vstack([points, np.array([*walls, (np.nan, np.nan)], dtype=np.float64)])
     extent = np.nanmax(everything, axis=0) - np.nanmin(everything, axis=0) + 2.0 * _MARGIN
     side = np.clip(_WIDEST / extent.max(), *_SIDES)
@@ -135,7 +135,7 @@ def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[
 def squares_of(
     problem: Problem, points: FloatArray
 ) -> tuple[set[Point], set[Point], set[Point], set[Point]]:
-    """The middles of free cells, dead-ends, goals, and of those where an episode may begin.
+    """Return the middles of free cells, dead-ends, goals, and of those where an episode may begin.
 
     Where several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
     """
@@ -147,7 +147,7 @@ def squares_of(
 
 
 def _distinct_cells(points: FloatArray) -> set[Point]:
-    """Distinct points of cells in the plane."""
+    """Return the distinct points of cells in the plane."""
     return {(x, y) for x, y in points[~np.isnan(points).any(axis=1)].tolist()}
 
 
@@ -299,7 +299,7 @@ def plot_lottery(
 
 
 def _visits_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Places) -> _Seen:
-    """Visits and decisions of a policy in the plane, by cell."""
+    """Return the visits and decisions of a policy in the plane, by cell."""
     model, points = problem.model, cells_of(problem.model, cells)
     pairs, gave_up = pair_visits(as_lottery(policy), problem)
     placed = ~np.isnan(points).any(axis=1)

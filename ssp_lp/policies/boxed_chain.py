@@ -48,7 +48,8 @@ class BoxedChain:
         return len(np.unique(first)) == len(first)
 
     def at(self, chosen: FloatArray, inside: BoolArray) -> Chain:
-        """The chain by chosen probabilities, [moves], with the moves out of some nodes only."""
+        """Return the chain by chosen probabilities, [moves], with the moves out of some nodes only.
+        """
         chain = self.chain
         used = (chosen > 0.0) & inside[chain.source]
         return replace(
@@ -61,7 +62,7 @@ class BoxedChain:
         )
 
     def staying(self, inside: BoolArray) -> BoolArray:
-        """Greatest set of nodes that nature never has to leave, within some, [nodes].
+        """Return the greatest set of nodes that nature never has to leave, within some, [nodes].
 
         Nodes without moves are never left.
         """
@@ -71,7 +72,7 @@ class BoxedChain:
         return kept
 
     def _keeping(self, within: BoolArray) -> BoolArray:
-        """Nodes at which nature can take moves of a set for sure, [nodes]."""
+        """Return the nodes at which nature can take moves of a set for sure, [nodes]."""
         forced = segment_sums(np.where(within, 0.0, self.low), self.offsets) > 0.0
         room = segment_sums(np.where(within, self.high, 0.0), self.offsets)
         keeping = np.ones(self.chain.n_nodes, dtype=np.bool_)
@@ -80,7 +81,7 @@ class BoxedChain:
         return keeping
 
     def collects_for_ever(self, reward: FloatArray, inside: BoolArray) -> bool:
-        """Whether nature can collect a reward again and again within some nodes.
+        """Return whether nature can collect a reward again and again within some nodes.
 
         It can where an end component of nature's choices has a move with a reward.
 
@@ -156,7 +157,7 @@ class BoxedChain:
         raise SolverError("nature's choices within the boxes do not settle")
 
     def failing(self) -> FloatArray:
-        """Greatest probability of never reaching the goal from each node, [nodes].
+        """Return the greatest probability of never reaching the goal from each node, [nodes].
 
         Where nature can avoid the goal it is 1; from elsewhere every choice comes to an end.
         """

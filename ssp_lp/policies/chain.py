@@ -89,7 +89,7 @@ class Chain:
         return sp.csr_array((self.probability, (self.source, self.target)), shape=(n, n))
 
     def per_node(self, move_values: FloatArray) -> FloatArray:
-        """Expected value of the next move in the policy's chain, [nodes]."""
+        """Return the expected value of the next move in the policy's chain, [nodes]."""
         return np.bincount(
             self.source, weights=self.probability * move_values, minlength=self.n_nodes
         ).astype(np.float64)
@@ -99,14 +99,14 @@ class Chain:
         return np.asarray(self.matrix @ values)
 
     def reaching(self, ends: BoolArray) -> BoolArray:
-        """Nodes from which the chain may come to one of the given nodes, [nodes]."""
+        """Return the nodes from which the chain may come to one of the given nodes, [nodes]."""
         backward = self.matrix.tocsc()
         return reached_along(backward.indices, backward.indptr, np.flatnonzero(ends))
 
     def accumulate(
         self, reward: FloatArray, inside: BoolArray, survival: float = 1.0
     ) -> FloatArray:
-        """Expected total reward in the policy's chain from each node, within ``inside``.
+        """Return the expected total reward in the policy's chain from each node, within ``inside``.
 
         Args:
             reward: [nodes] or [nodes, rewards]; counted at nodes of ``inside`` only.
@@ -138,7 +138,7 @@ class Chain:
         return self._arriving[survival]
 
     def visits(self, survival: float = 1.0) -> FloatArray:
-        """The chain's expected visits of each node, those at t weighted survival^t, [nodes].
+        """Return the chain's expected visits of each node, those at t weighted survival^t, [nodes].
 
         Raises:
             ModelError: the policy may wander for ever, so that visits are infinite.
@@ -149,7 +149,7 @@ class Chain:
         return self._system(everywhere, survival)[1].solve_transposed(self.start)
 
     def _system(self, inside: BoolArray, survival: float) -> tuple[IntArray, System]:
-        """Equations of the chain's moves within some nodes, kept for further rewards."""
+        """Return the equations of the chain's moves within some nodes, kept for further rewards."""
         key = survival, inside.tobytes()
         if key not in self._systems:
             nodes = np.flatnonzero(inside)
@@ -174,7 +174,8 @@ class Chain:
         return own, np.where(ending, 1.0, moving)
 
     def decisions(self) -> Decisions:
-        """The decisions of the policy's chain, in the order in which a run can come to them."""
+        """Return the decisions of the policy's chain, in the order in which a run can come to them.
+        """
         begins = sp.csr_array((self.start[None, :] > 0.0).astype(np.float64))
         edges = sp.vstack([sp.hstack([self.matrix, sp.csr_array((self.n_nodes, 1))]),
                            sp.hstack([begins, sp.csr_array((1, 1))])], format="csr")  # fmt: skip
@@ -314,7 +315,7 @@ def _reachable_nodes(
 def _expand_chain(
     model: SSP, policy: Policy, keys: IntArray, ended: BoolArray, size: int | None
 ) -> _Step:
-    """Moves and branches of the chain out of the given nodes, all as keys."""
+    """Return the moves and branches of the chain out of the given nodes, all as keys."""
     memory, state = np.divmod(keys, model.n_states)
     acting = ~ended[state]
     keys, memory, state = keys[acting], memory[acting], state[acting]

@@ -101,13 +101,13 @@ class CostAwarePolicy(Policy):
         return "cost paid"
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """The cost paid so far of each layer, then the tails by number."""
+        """Return the cost paid so far of each layer, then the tails by number."""
         layers = [layer * self.unit for layer in range(self.cap)]
         paid = layers if self.levels is None else self.levels[:-1].tolist()
         return list(enumerate([*paid, *(f"tail {k}" for k in range(len(self.tails)))]))
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The cost-aware policy's memory at the start: layer 0, [episodes]."""
+        """Return the cost-aware policy's memory at the start: layer 0, [episodes]."""
         nothing = np.zeros(len(states), dtype=np.int64)
         return self._memory_at(nothing, self.tail_threshold[states] <= 0.0)
 
@@ -137,7 +137,7 @@ class CostAwarePolicy(Policy):
         )
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The cost-aware policy's one decision of each (state, cost paid)."""
+        """Return the cost-aware policy's one decision of each (state, cost paid)."""
         below = memory < self.cap
         pair = np.empty(len(states), dtype=np.int64)
         some = states[below]
@@ -179,7 +179,7 @@ class CostAwarePolicy(Policy):
         return steps, ~(np.abs(units - steps) <= _NEAR)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
-        """The cost-aware policy by level of cost; beyond the last a layer for each tail.
+        """Return the cost-aware policy by level of cost; beyond the last a layer for each tail.
 
         Steps that only end episodes lead to the next layer, where that makes no difference. None
         where the layers beyond are too many.
@@ -195,7 +195,7 @@ class CostAwarePolicy(Policy):
         rank = np.where(self.tail_threshold > farthest, len(edges), asks)
 
         def reached(total: FloatArray) -> IntArray:
-            """The layer that each total leads to, like ``total``."""
+            """Return the layer that each total leads to, like ``total``."""
             nearest = _nearest_cost_level(levels, total)
             beyond = np.searchsorted(edges, total, side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
@@ -204,7 +204,7 @@ class CostAwarePolicy(Policy):
         even = _evenly_spaced(levels, costs[moving], int(passed.max(initial=0)))
 
         def leads(level: int) -> IntArray:
-            """Layers that a step of each cost passes from a level, [costs]."""
+            """Return the layers that a step of each cost passes from a level, [costs]."""
             if level < even:
                 return passed
             return np.where(moving, reached(levels[level] + costs) - level, 1)
@@ -222,7 +222,7 @@ class CostAwarePolicy(Policy):
         )
 
     def _told_apart(self, levels: FloatArray, costs: FloatArray) -> FloatArray:
-        """Thresholds of a cost-aware policy's tails that some total tells apart.
+        """Return the thresholds of a cost-aware policy's tails that some total tells apart.
 
         Args:
             levels: increasing, the last one behind all layers.

@@ -56,7 +56,7 @@ class Decision(enum.StrEnum):
     GIVE_UP = "give up"
 
     def __repr__(self) -> str:
-        """The name of the constant."""
+        """Return the name of the constant."""
         return self.name
 
 
@@ -94,7 +94,7 @@ class Branches(NamedTuple):
         return memory[self.situation] if self.memory is None else self.memory
 
     def gives_up(self, memory: IntArray) -> BoolArray:
-        """Whether each decision gives up, even if the policy goes on, [branches]."""
+        """Return whether each decision gives up, even if the policy goes on, [branches]."""
         changes = self.kept(memory) != memory[self.situation]
         return np.asarray((self.pair == GIVE_UP_CODE) | changes)
 
@@ -186,7 +186,7 @@ class Playable(Report, ReadOnlyCopies, ABC):
         """Members of the policy's lottery with their weights."""
 
     def table(self) -> PolicyTable:
-        """The policy's decisions as a table that prints.
+        """Return the policy's decisions as a table that prints.
 
         Raises:
             ModelError: the policy is of a class whose memory is not known.
@@ -198,7 +198,7 @@ class Playable(Report, ReadOnlyCopies, ABC):
         return PolicyTable(self.weighted[0][1].model, members, GIVE_UP, _EVERYWHERE)
 
     def to_frame(self) -> Any:
-        """The policy's table as a pandas ``DataFrame``.
+        """Return the policy's table as a pandas ``DataFrame``.
 
         Raises:
             MissingDependencyError: pandas is not installed.
@@ -281,7 +281,7 @@ class Policy(Playable):
         return ((1.0, self),)
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Values of the policy's memory, and the words for each in its table.
+        """Return the values of the policy's memory, and the words for each in its table.
 
         Raises:
             ModelError: nothing bounds the memory.
@@ -293,11 +293,11 @@ class Policy(Playable):
         return [(0, None)] if size == 1 else [(k, k) for k in range(size)]
 
     def listed_states(self, memory: int) -> IntArray:
-        """States in which the policy may have a decision with this memory, [states]."""
+        """Return the states in which the policy may have a decision with this memory, [states]."""
         return np.arange(self.model.n_states)
 
     def decisions(self) -> Iterator[Decisions]:
-        """The policy's decisions, a block for each value of its memory."""
+        """Yield the policy's decisions, a block for each value of its memory."""
         for code, _ in self.memories():
             states = self.listed_states(code)
             memory = np.full(len(states), code, dtype=np.int64)
@@ -308,7 +308,7 @@ class Policy(Playable):
             yield Decisions(states[here], memory[here], pair[kept], branches.probability[kept])
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The policy's memory at the start of episodes in these states, [episodes]."""
+        """Return the policy's memory at the start of episodes in these states, [episodes]."""
         nothing = np.zeros(len(states), dtype=np.int64)
         return nothing if self.carrier is None else self.carrier.start_memory(states)
 
@@ -317,23 +317,24 @@ class Policy(Playable):
         return self.model.goal_mask[states]
 
     def begins(self, states: IntArray) -> BoolArray:
-        """Whether an episode of the policy may begin in these states, [episodes]."""
+        """Return whether an episode of the policy may begin in these states, [episodes]."""
         return np.ones(len(states), dtype=np.bool_)
 
     def layers(self) -> CostLayers | None:
-        """The policy by layers of the cost paid; None where its memory is another one."""
+        """Return the policy by layers of the cost paid; None where its memory is another one."""
         return None
 
     @abstractmethod
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The policy's decisions with probabilities in each (state, memory), [situations]."""
+        """Return the policy's decisions with probabilities in each (state, memory), [situations].
+        """
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """The policy's memory after steps of pairs to successors at costs, [episodes]."""
+        """Return the policy's memory after steps of pairs to successors at costs, [episodes]."""
         return memory if self.carrier is None else self.carrier.remember(memory, *step)
 
     def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
-        """The policy's memory after outcomes of pairs of the model, [episodes].
+        """Return the policy's memory after outcomes of pairs of the model, [episodes].
 
         Like :meth:`remember`, unless the memory depends on more than successors and costs.
         """
@@ -445,7 +446,7 @@ class EpisodeBatch:
         self.failed = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] the goal is given up, lost
 
     def actions(self, states: Sequence[Hashable]) -> list[Hashable]:
-        """The policy's action in each episode of the batch, [episodes].
+        """Return the policy's action in each episode of the batch, [episodes].
 
         It is :data:`GIVE_UP` from where an episode gives up, and None where one is over, in a goal
         or in a dead-end; what state is said of it then does not matter. One that gives up and goes
@@ -526,7 +527,7 @@ class EpisodeBatch:
             self.memory[begun[mine]] = member.start_memory(states[begun[mine]])
 
     def decide(self, episodes: IntArray, states: IntArray) -> IntArray:
-        """The policies' pair or GIVE_UP_CODE for each of the given episodes in these states.
+        """Return the policies' pair or GIVE_UP_CODE for each of the given episodes in these states.
 
         Those that give up where the policy knows what to do afterwards begin with that.
         """
@@ -546,7 +547,7 @@ class EpisodeBatch:
             self.memory[own] = member.remember(self.memory[own], *taken)
 
     def shares(self, episodes: IntArray) -> Iterator[tuple[Policy, IntArray]]:
-        """Each member with the positions of the episodes that it plays."""
+        """Yield each member with the positions of the episodes that it plays."""
         for number, member in enumerate(self._members):
             mine = np.flatnonzero(self._drawn[episodes] == number)
             if mine.size:
@@ -558,7 +559,7 @@ class EpisodeBatch:
         return np.asarray(np.all([member.ended for member in self._members], axis=0))
 
     def _indices(self, states: Sequence[Hashable]) -> IntArray:
-        """Positions of the states of a batch's episodes."""
+        """Return the positions of the states of a batch's episodes."""
         if len(states) != len(self._drawn):
             raise ModelError(f"{len(states)} states given for {len(self._drawn)} episodes")
         return np.array([self.model.index_of(state) for state in states], dtype=np.int64)
@@ -659,7 +660,7 @@ class DeterministicPolicy(Policy):
         return 1
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The deterministic policy's one decision of each state."""
+        """Return the deterministic policy's one decision of each state."""
         n = len(states)
         return Branches(np.arange(n), self.decision[states].astype(np.int64), np.ones(n))
 
@@ -785,7 +786,7 @@ class StochasticPolicy(Policy):
         return 1 if self.carrier is None else super().memory_size
 
     def listed_states(self, memory: int) -> IntArray:
-        """States whose decisions are listed with this memory, [states]."""
+        """Return the states whose decisions are listed with this memory, [states]."""
         n = self.model.n_states
         first, last = np.searchsorted(self.situation_key, [memory * n, (memory + 1) * n])
         return np.asarray(self.situation_key[first:last] - memory * n)
@@ -850,7 +851,7 @@ class MixedPolicy(Playable):
 
 
 def as_lottery(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """A policy as a lottery, of one member if it is none.
+    """Return a policy as a lottery, of one member if it is none.
 
     Raises:
         ModelError: it is no policy.

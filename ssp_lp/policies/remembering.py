@@ -64,7 +64,7 @@ class _Carried(Policy):
         return self.inner.goes_on
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """The digit, with the inner policy's memory where it has one."""
+        """Return the digit, with the inner policy's memory where it has one."""
         return [
             (code * len(self.digits) + k, word if words is None else (word, words))
             for k, word in enumerate(self.digits)
@@ -72,11 +72,11 @@ class _Carried(Policy):
         ]
 
     def split(self, memory: IntArray) -> tuple[IntArray, IntArray]:
-        """The inner memory and the digit, [episodes] each."""
+        """Return the inner memory and the digit, [episodes] each."""
         return np.divmod(memory, len(self.digits))
 
     def joined(self, inner: IntArray, digit: IntArray | int) -> IntArray:
-        """The memory of an inner one and a digit, [episodes]."""
+        """Return the memory of an inner one and a digit, [episodes]."""
         return np.asarray(inner * len(self.digits) + digit)
 
 
@@ -122,11 +122,11 @@ class TimedPolicy(_Carried):
         return len(self.stages), *self.inner.meaning
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The first stage, [episodes]."""
+        """Return the first stage, [episodes]."""
         return self.joined(self.inner.start_memory(states), 0)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The timed policy's decisions, those of each situation's stage."""
+        """Return the timed policy's decisions, those of each situation's stage."""
         inner, stage = self.split(memory)
         parts = []
         for number in np.unique(np.append(stage, 0)):
@@ -146,13 +146,14 @@ class TimedPolicy(_Carried):
 
 
 def asked(policy: Policy, some: IntArray, states: IntArray, memory: IntArray) -> Branches:
-    """A policy's decisions in some of several situations, numbered as all of them are."""
+    """Return a policy's decisions in some of several situations, numbered as all of them are."""
     branches = policy.branches(states[some], memory[some])
     return branches._replace(situation=some[branches.situation])
 
 
 def merged(memory: IntArray, *parts: Branches) -> Branches:
-    """Decisions in different situations as one, by situation; of memories, [situations]."""
+    """Return the decisions in different situations as one, by situation; of memories, [situations].
+    """
     situation, pair, probability, kept = (
         np.concatenate(part)
         for part in zip(*((*part[:3], part.kept(memory)) for part in parts), strict=True)
@@ -187,13 +188,13 @@ class JointMemory(Policy):
         return tuple(keeper.meaning for keeper in self.keepers)
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Tuples of the keepers' memories."""
+        """Return the tuples of the keepers' memories."""
         parts = every_choice(*(keeper.memories() for keeper in self.keepers))
         joint = [tuple(zip(*some, strict=True)) for some in parts]
         return [(int(np.ravel_multi_index(codes, self._sizes)), words) for codes, words in joint]
 
     def listed_states(self, memory: int) -> IntArray:
-        """States that every keeper lists with its part of a joint memory, [states]."""
+        """Return the states that every keeper lists with its part of a joint memory, [states]."""
         parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
         listed = [keeper.listed_states(int(part)) for keeper, part in parts]
         return reduce(np.intersect1d, listed, np.arange(self.model.n_states))
@@ -204,7 +205,7 @@ class JointMemory(Policy):
         return np.asarray(np.ravel_multi_index(parts, self._sizes))
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Decisions by a joint memory: the decider's, given its own part."""
+        """Return the decisions by a joint memory: the decider's, given its own part."""
         parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
         mine: list[IntArray] = [
             part for keeper, part in parts if keeper.meaning == self.decider.meaning
@@ -225,7 +226,7 @@ class JointMemory(Policy):
 
 
 def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
-    """Members of a lottery whose memories are all that its members remember.
+    """Return the members of a lottery whose memories are all that its members remember.
 
     Raises:
         ModelError: a member is of a class whose memory is not known here.
@@ -280,11 +281,11 @@ class RememberingPolicy(_Carried):
         return np.sort(self.product.original_state[here])
 
     def begins(self, states: IntArray) -> BoolArray:
-        """Whether the product has these states with the memory's start, [episodes]."""
+        """Return whether the product has these states with the memory's start, [episodes]."""
         return np.asarray(self.product.table[states, self.product.first_memory(states)] >= 0)
 
     def reaches(self, states: IntArray, memory: IntArray) -> BoolArray:
-        """Whether the product's goal is reached with what is remembered, [episodes]."""
+        """Return whether the product's goal is reached with what is remembered, [episodes]."""
         inner, number = self.split(memory)
         return self.inner.reaches(self.product.at(states, number), inner)
 
@@ -378,7 +379,7 @@ class LabelledPolicy(_Carried):
         return decision
 
     def listed_states(self, memory: int) -> IntArray:
-        """States with decisions before failing, or after it, [states]."""
+        """Return the states with decisions before failing, or after it, [states]."""
         failed = memory % len(self.digits) > 0
         return np.flatnonzero(self.product.is_open if failed else ~self.ended)
 
@@ -464,13 +465,14 @@ class CompletePolicy(_Carried):
         return np.asarray(self.model.goal_mask | (np.diff(self.model.pair_offsets) == 0))
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """The inner policy's memories, "over" and, where it does not begin, "elsewhere"."""
+        """Return the inner policy's memories, "over" and, where it does not begin, "elsewhere"."""
         known = [(3 * code, words) for code, words in self.inner.memories()]
         begins = self.inner.begins(np.arange(self.model.n_states)).all()
         return [*known, (1, "over"), *([] if begins else [(2, "elsewhere")])]
 
     def listed_states(self, memory: int) -> IntArray:
-        """States with actions, those of the product where the inner policy lives on one."""
+        """Return the states with actions, those of the product where the inner policy lives on one.
+        """
         inner, alone = divmod(memory, 3)
         acting = np.diff(self.model.pair_offsets) > 0
         of_product = isinstance(self.inner, RememberingPolicy) and not alone
@@ -478,13 +480,13 @@ class CompletePolicy(_Carried):
         return listed[acting[listed]]
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The inner policy's, where its episodes begin, [episodes]."""
+        """Return the inner policy's, where its episodes begin, [episodes]."""
         memory, begins = np.full(len(states), 2), self.inner.begins(states)
         memory[begins] = 3 * self.inner.start_memory(states[begins])
         return memory
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The inner policy's decisions, or what is done where it has none."""
+        """Return the inner policy's decisions, or what is done where it has none."""
         inner, alone = self.split(memory)
         over = (alone == 1) | self.inner.ended[states]
         found = asked(self.inner, np.flatnonzero(~over & (alone == 0)), states, inner)
@@ -498,7 +500,7 @@ class CompletePolicy(_Carried):
         return merged(memory, planned, Branches(silent, rest, np.ones(silent.size)))
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """The inner policy's, as long as it has something to say, [episodes]."""
+        """Return the inner policy's, as long as it has something to say, [episodes]."""
         pairs, _, costs = step
         check_costs(costs)
         inner, alone = self.split(memory)
@@ -524,7 +526,7 @@ def acting_everywhere(
     otherwise: IntArray | None = None,
     afterwards: IntArray | None = None,
 ) -> MixedPolicy:
-    """A policy that acts in every state of its model that has actions, a goal excepted.
+    """Return a policy that acts in every state of its model that has actions, a goal excepted.
 
     It acts as the policy given where that decides. After giving up, and in dead-ends, it goes on as
     the policy does where its problem counts what happens then; else it surely avoids the goal if it
@@ -561,7 +563,7 @@ def acting_everywhere(
     planned = first if otherwise is None else np.where(otherwise >= 0, otherwise, first)
 
     def preferring(decision: IntArray) -> IntArray:
-        """Decisions that the default comes before, [states]."""
+        """Return the decisions that the default comes before, [states]."""
         return np.where(preferred >= 0, preferred, np.where(decision >= 0, decision, planned))
 
     later = np.full(model.n_states, UNDECIDED) if afterwards is None else afterwards
@@ -576,7 +578,7 @@ def acting_everywhere(
 
 @explained
 def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """Policy of a product as one that remembers its memory on the original model.
+    """Return the policy of a product as one that remembers its memory on the original model.
 
     Args:
         policy: such as a solution's, of a problem on ``product(model, memory)``.

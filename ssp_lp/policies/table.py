@@ -81,7 +81,7 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         return [row for k in range(len(self.members)) for row in self._member_rows(k)]
 
     def _member_rows(self, member: int) -> Iterator[PolicyRow]:
-        """Rows of a member's decisions, made as they are asked for."""
+        """Yield the rows of a member's decisions, made as they are asked for."""
         model, part = self.model, self.members[member]
         for block in part.decisions():
             for state, code, pair, share in zip(*(b.tolist() for b in block), strict=True):
@@ -89,7 +89,7 @@ class PolicyTable(Report, Sequence[PolicyRow]):
                 yield PolicyRow(model.states[state], part.words.get(code), action, share, member)
 
     def __len__(self) -> int:
-        """Number of decisions."""
+        """Return the number of decisions."""
         return len(self._rows)
 
     @overload
@@ -101,11 +101,11 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         return self._rows[index]
 
     def __iter__(self) -> Iterator[PolicyRow]:
-        """The rows in order."""
+        """Yield the rows in order."""
         return iter(self._rows)
 
     def tables(self) -> list[Table]:
-        """A table for each of the first members, under its weight, with its first rows."""
+        """Return a table for each of the first members, under its weight, with its first rows."""
         several = len(self.members) > 1
         tables = [self._member_table(k, several) for k in range(min(len(self.members), _MEMBERS))]
         if several:
@@ -123,7 +123,7 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         return Table(self._rows, PolicyRow._fields)
 
     def to_frame(self) -> Any:
-        """All rows as a pandas ``DataFrame``, with a column for each field of a row.
+        """Return all rows as a pandas ``DataFrame``, with a column for each field of a row.
 
         Raises:
             MissingDependencyError: pandas is not installed.
@@ -131,11 +131,11 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         return self.all_rows().to_frame()
 
     def __repr__(self) -> str:
-        """The printed table."""
+        """Return the printed table."""
         return str(self)
 
     def _member_table(self, member: int, titled: bool) -> Table:
-        """Table of a member's first rows, with a note on the others."""
+        """Return the table of a member's first rows, with a note on the others."""
         part = self.members[member]
         count = sum(len(block.pair) for block in part.decisions())
         remembers = any(memory is not None for memory in part.words.values())
@@ -156,6 +156,6 @@ class PolicyTable(Report, Sequence[PolicyRow]):
 
 
 def _in_table(value: Hashable) -> str:
-    """A state, a memory or an action as it is printed: a whole number without decimals."""
+    """Return a state, a memory or an action as it is printed: a whole number without decimals."""
     whole = isinstance(value, float) and value.is_integer()
     return f"{value:g}" if whole else str(value)

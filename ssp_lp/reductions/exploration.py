@@ -92,7 +92,8 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
 
 
 def _begun(problem: Problem) -> Exploration:
-    """The first states of a problem's implicit model, those that its limits name among them."""
+    """Return the first states of a problem's implicit model, those that its limits name among them.
+    """
     whole, start = cast("ImplicitSSP", problem.model), problem.start
     begin = [*start] if isinstance(start, Mapping) else [start]
     named = [word for word in _words_of(problem) if word not in whole.labels]
@@ -102,7 +103,7 @@ def _begun(problem: Problem) -> Exploration:
 
 
 def _words_of(problem: Problem) -> list[Hashable]:
-    """States and labels whose visits a problem's limits count, each once."""
+    """Return the states and labels whose visits a problem's limits count, each once."""
     limits = (limit for _, limit in limits_of(problem))
     return list(dict.fromkeys(word for limit in limits for word in words_visited(limit)))
 
@@ -110,7 +111,7 @@ def _words_of(problem: Problem) -> list[Hashable]:
 def _answered(
     problem: Any, solve: Callable[..., Solution], time_limit: float | None
 ) -> tuple[Solution, IntArray]:
-    """Solution on an explored part, and the states in doubt.
+    """Return the solution on an explored part, and the states in doubt.
 
     At least failure the part's policies of least failure may break a limit that others keep to:
     it is then solved without limits, to see what these policies rest on.
@@ -139,7 +140,7 @@ def _answered(
 
 
 def _even_at_best(error: InfeasibleError) -> InfeasibleError:
-    """The error of a part as the whole model's, of which the part's policies need not be."""
+    """Return the error of a part as the whole model's, of which the part's policies need not be."""
     return InfeasibleError(
         f"even if all that is not explored is at its best: {error}",
         failure_budget=error.failure_budget,
@@ -205,7 +206,7 @@ def states_in_doubt(solution: Solution) -> IntArray:
 
 
 def _reached(part: ExploredSSP, pairs: IntArray, begin: IntArray) -> BoolArray:
-    """States of the explored part that are come to by some pairs, [states].
+    """Return the states of the explored part that are come to by some pairs, [states].
 
     Args:
         part: the explored part.
@@ -275,7 +276,7 @@ def _check_bounds(solution: Solution) -> None:
 
 
 def _within(lottery: MixedPolicy) -> MixedPolicy:
-    """A lottery that decides nothing in states that were not expanded."""
+    """Return a lottery that decides nothing in states that were not expanded."""
     members = list[Policy]()
     for member in lottery.policies:
         if isinstance(member, DeterministicPolicy):

@@ -101,7 +101,7 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
 def _settled(
     boxes: Boxes, semantics: FailureSemantics
 ) -> tuple[FloatArray, IntArray, FloatArray, int]:
-    """Policy iteration against nature.
+    """Return the policy iteration against nature.
 
     Decisions are changed only for less, so that a policy that ends surely is followed by such a
     policy, and zero-cost cycles are never entered.
@@ -154,7 +154,7 @@ def _settled(
 
 
 def _losing(boxes: Boxes) -> tuple[IntArray, IntArray, BoolArray]:
-    """States from which nature can keep every policy from reaching the goal surely.
+    """Return the states from which nature can keep every policy from reaching the goal surely.
 
     In rounds: in what is left, states are taken in by pairs that nature cannot keep from the goal
     and the states taken in before; all others are lost, with the pairs that may lead there.

@@ -80,7 +80,7 @@ def read_drn(
 
 
 def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
-    """Sections of a DRN file up to the line ``@model``, by name.
+    """Return the sections of a DRN file up to the line ``@model``, by name.
 
     Raises:
         ModelError: naming the line: a section that is unknown, twice there or missing, or a model
@@ -244,7 +244,7 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
 
 
 def _drn_text(process: Exported) -> Iterator[str]:
-    """Lines of a DRN file for a model."""
+    """Yield the lines of a DRN file for a model."""
     marks: dict[int, str] = {}  # what stands behind the number of a state: its labels
     for name, members in process.labels.items():
         shown = name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else f'"{name}"'

@@ -44,7 +44,7 @@ def parse_json(
     cost: str | None = None,
     dead_ends: DeadEnds | None = None,
 ) -> StatedModel:
-    """The model that a JSON text states, a table by name or an explicit case.
+    """Return the model that a JSON text states, a table by name or an explicit case.
 
     In a table names are words, a cost is a number or ``{name: number}``, and a number may be a
     fraction in words, "1/3".
@@ -109,7 +109,7 @@ def _explicit_json(
 
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object, in which no name may stand twice."""
+    """Return a JSON object, in which no name may stand twice."""
     members = dict(pairs)
     if len(members) < len(pairs):
         names = [name for name, _ in pairs]
@@ -139,7 +139,7 @@ def _stated_model(
     cost: str | None,
     dead_ends: DeadEnds | None,
 ) -> StatedModel:
-    """The model of a JSON document: transitions by state and action, goal, start and labels.
+    """Return the model of a JSON document: transitions by state and action, goal, start and labels.
 
     Raises:
         ModelError: see :func:`parse_json`.
@@ -201,7 +201,8 @@ def _stated_model(
 def _json_outcome(
     where: str, outcome: Any, cost: str | None, counted: set[str]
 ) -> tuple[Any, Hashable, Any]:
-    """An outcome, checked for its form; ``counted`` gets the name of the cost that counts."""
+    """Return an outcome, checked for its form; ``counted`` gets the name of the cost that counts.
+    """
     fits = isinstance(outcome, list) and len(outcome) == 3
     if not fits or not isinstance(outcome[1], (str, int)):
         raise ModelError(
@@ -232,7 +233,7 @@ def _counted_cost(where: str, costs: Mapping[str, Any], cost: str | None) -> str
 
 
 def _json_number(value: Any) -> Any:
-    """A number of a JSON model as the fraction that its digits state; else as it stands."""
+    """Return a number of a JSON model as the fraction that its digits state; else as it stands."""
     if isinstance(value, str) and _FRACTION.fullmatch(value) and not re.search(r"/0+$", value):
         return Fraction(value)
     return value
@@ -241,7 +242,7 @@ def _json_number(value: Any) -> Any:
 def model_in_json(
     model: SSP, start: Hashable | Mapping[Hashable, float] | None = None
 ) -> Iterator[str]:
-    """A model as a JSON text that says all that it holds, a line for each state.
+    """Yield a model as a JSON text that says all that it holds, a line for each state.
 
     States and actions become words.
 

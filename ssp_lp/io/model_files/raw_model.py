@@ -114,7 +114,7 @@ class TextFile:
         self._comment = comment
 
     def lines(self) -> Iterator[str]:
-        """Lines of a model's text file without comments and outer spaces.
+        """Yield the lines of a model's text file without comments and outer spaces.
 
         Raises:
             ModelError: a line without end, no UTF-8, or a broken gzip file.
@@ -129,7 +129,7 @@ class TextFile:
                 yield self.text.strip()
 
     def fault(self, complaint: str) -> ModelError:
-        """The error that names a model's text file and the line last read."""
+        """Return the error that names a model's text file and the line last read."""
         return ModelError(f"{self.path}, line {self.number}: {complaint}")
 
     def integer(self, word: str) -> int:
@@ -139,7 +139,7 @@ class TextFile:
         return int(word)
 
     def float(self, word: str) -> float:
-        """A word of a model's text file as a number or fraction, or :class:`ModelError`."""
+        """Return a word of a model's text file as a number or fraction, or :class:`ModelError`."""
         plain = word if word.isascii() and "_" not in word else ""
         above, slash, below = plain.partition("/")
         try:
@@ -188,7 +188,7 @@ FIRST_COST = "*"
 
 
 def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int | None:
-    """Position of the reward model that is the cost; None: there is none at all.
+    """Return the position of the reward model that is the cost; None: there is none at all.
 
     Args:
         source: for errors.
@@ -212,7 +212,7 @@ def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int
 
 
 def named_rewards(names: Sequence[str], costs: Sequence[FloatArray]) -> dict[str, FloatArray]:
-    """Costs of the reward models by name, where the name belongs to one alone.
+    """Return the costs of the reward models by name, where the name belongs to one alone.
 
     A reward model without a name is "" beside others; where it is the only one it has no name.
     """
@@ -273,7 +273,7 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
     through = paying[raw.successors]
 
     def whole(costs: FloatArray) -> FloatArray:
-        """A cost of outcomes with what the state behind it pays, [outcomes]."""
+        """Return a cost of outcomes with what the state behind it pays, [outcomes]."""
         rest = np.where(through, costs[firsts[raw.successors]], 0.0)
         least = np.minimum(costs, rest)  # a negative one is not hidden by the sum
         return np.where(least < 0.0, least, decimal_sum(costs, rest, raw.exact_costs))
@@ -296,7 +296,7 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
 
 
 def _with_pairs(raw: RawModel, kept: BoolArray) -> RawModel:
-    """A raw model with some of its pairs, ``kept`` [pairs]."""
+    """Return a raw model with some of its pairs, ``kept`` [pairs]."""
     sizes = np.diff(raw.outcome_offsets)
     outcomes, state = np.repeat(kept, sizes), segment_ids(raw.pair_offsets)
     counts = np.bincount(state[kept], minlength=raw.pair_offsets.size - 1)
@@ -398,7 +398,7 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
 
 
 def distinct_actions(names: Sequence[str], pair_offsets: IntArray) -> Sequence[str]:
-    """Action names of a raw model, distinct in each state, [pairs].
+    """Return the action names of a raw model, distinct in each state, [pairs].
 
     One without a name is called by its position in the state; a repeat gets a number.
     """
@@ -529,7 +529,7 @@ def distinct_words(names: Sequence[Hashable], other: str = r"[^A-Za-z0-9_.+-]+")
 def _exported_labels(
     model: SSP, start: Hashable, idle: IntArray, n_paying: int
 ) -> Mapping[str, IntArray]:
-    """Labels of an exported raw model, and those that the files give a meaning."""
+    """Return the labels of an exported raw model, and those that the files give a meaning."""
     if isinstance(start, Mapping):
         raise ModelError("such files begin in one state: name it, or add one that draws the start")
     goals = np.flatnonzero(model.goal_mask)
@@ -581,7 +581,7 @@ def decimal_sum(
 
 
 def _distinct_pairs(one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Distinct pairs of a raw model's finite costs, sorted.
+    """Return the distinct pairs of a raw model's finite costs, sorted.
 
     Args:
         one: [numbers].

@@ -119,7 +119,7 @@ class UmbArchive:
         self._probability = self._stated(system, "branch-probability-type", dict)
 
     def raw_model(self, cost: str | None, source: object = None) -> RawModel:
-        """The archive's model, its states numbered.
+        """Return the archive's model, its states numbered.
 
         Args:
             cost: the name of the reward model that is the cost, as in :func:`read_umb`.
@@ -155,12 +155,13 @@ class UmbArchive:
         )
 
     def states(self) -> Sequence[Hashable] | None:
-        """The values of each state's variables; None if they do not distinguish the states."""
+        """Return the values of each state's variables; None if they do not distinguish the states.
+        """
         names = list(zip(*self.variables().values(), strict=True))
         return names if len(set(names)) == self._n_states else None
 
     def variables(self) -> dict[str, list[Hashable]]:
-        """The values of the variables in each state, by name, each [states].
+        """Return the values of the variables in each state, by name, each [states].
 
         There are none where the archive describes none, or several classes of states, or a
         variable that is optional or neither a truth value nor a whole or floating number.
@@ -212,7 +213,7 @@ class UmbArchive:
         kind, folder = self._stated(described, "type", dict), f"annotations/rewards/{key}"
 
         def given(entity: str, size: int) -> FloatArray:
-            """Rewards of one kind of entity, [entities]."""
+            """Return the rewards of one kind of entity, [entities]."""
             name = f"{folder}/{entity}/values.bin"
             return self._numbers(name, kind, size) if name in self._files else np.zeros(size)
 
@@ -239,7 +240,7 @@ class UmbArchive:
         return distinct_actions([words[code] for code in codes.tolist()], self._pairs)
 
     def _read_index(self) -> dict[str, Any]:
-        """The archive's index.
+        """Return the archive's index.
 
         Raises:
             ModelError: there is none, or it is of another version.
@@ -253,7 +254,7 @@ class UmbArchive:
         return index
 
     def _stated(self, place: Any, name: str, kind: type, *default: Any) -> Any:
-        """An entry of the index, of a kind; the default where there is none."""
+        """Return an entry of the index, of a kind; the default where there is none."""
         value = place.get(name, *default) if isinstance(place, dict) else None
         if type(value) is not kind:
             raise self._fault(f"its {_INDEX} should say {name!r}, of type {kind.__name__}")
@@ -282,7 +283,7 @@ class UmbArchive:
         return np.array([a / b for a, b in zip(above, below, strict=True)])
 
     def _bits(self, name: str) -> BoolArray:
-        """Truth values of a file, [states]; all false where there is none."""
+        """Return the truth values of a file, [states]; all false where there is none."""
         if name not in self._files:
             return np.zeros(self._n_states, dtype=np.bool_)
         words = self._array(name, "<u8", -(-self._n_states // 64))
@@ -305,14 +306,14 @@ class UmbArchive:
         return len(self._files.get(name, b"")) // width
 
     def _array(self, name: str, kind: str, size: int) -> Any:
-        """The entries of a file, [size]."""
+        """Return the entries of a file, [size]."""
         data, width = self._files.get(name, b""), np.dtype(kind).itemsize
         if len(data) != size * width:
             raise self._fault(f"{name} has {len(data)} bytes, not {size * width}")
         return np.frombuffer(data, dtype=kind)
 
     def _fault(self, complaint: str) -> ModelError:
-        """The error that names the archive."""
+        """Return the error that names the archive."""
         return ModelError(f"{self.path}: {complaint}")
 
 
@@ -379,12 +380,12 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
 
 
 def _bytes_of(values: Any, kind: str) -> bytes:
-    """Numbers as a file of a UMB archive holds them."""
+    """Return the numbers as a file of a UMB archive holds them."""
     return np.asarray(values).astype(kind).tobytes()
 
 
 def _bit_set(members: IntArray, n_states: int) -> bytes:
-    """A set of states as a file of a UMB archive holds it."""
+    """Return a set of states as a file of a UMB archive holds it."""
     bits = np.zeros(-(-n_states // _WORD) * _WORD, dtype=np.bool_)
     bits[members] = True
     return np.packbits(bits, bitorder="little").tobytes()
