@@ -620,8 +620,7 @@ class _LayerCosts:
 def give_up_costs(
     chain: Chain, semantics: FailureSemantics, free: BoolArray | None = None
 ) -> FloatArray:
-    """Return the value of giving up at each node of a policy's chain, 0 where it may not, [nodes].
-    """
+    """Return the value of giving up at each node of a policy's chain, 0 where it may not, [nodes]."""
     if not chain.give_up.any():
         return np.zeros(len(chain.give_up))
     charge = state_give_up_charges(chain.model, semantics, free)[chain.state]
@@ -705,8 +704,7 @@ def state_give_up_charges(
 
 
 def entering_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:
-    """Return the charge of entering each dead-end, for quantities' values, 0 elsewhere, [states].
-    """
+    """Return the charge of entering each dead-end, for quantities' values, 0 elsewhere, [states]."""
     return model.of_all_states(dead_end_charges(model, dead_ends(model), semantics))
 
 
@@ -800,8 +798,7 @@ def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> list[
 
 
 def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Term) -> float:
-    """Return the value of one term of a quantity on a policy's chain: cost, visits, or way to end.
-    """
+    """Return the value of one term of a quantity on a policy's chain: cost, visits, or way to end."""
     survival, semantics = survival_of(problem.discount), problem.semantics
     if term.through and chain.model.failure_label is not None:  # to the true end of the run
         semantics, counted = replace(semantics, give_up=GiveUp.DEAD_ENDS), chain.settling

@@ -145,8 +145,7 @@ def greatest_total(
 
 
 def pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
-    """Return the pairs that a simulated policy takes somewhere, [pairs]; None: that is not known.
-    """
+    """Return the pairs that a simulated policy takes somewhere, [pairs]; None: that is not known."""
     try:
         table = policy.table()
     except ModelError:

@@ -110,8 +110,7 @@ def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> 
 
 
 def _measures(boxed: BoxedChain, problem: Problem, boxes: Boxes) -> list[float]:
-    """Return the worst failure, cost, objective and probability of each way to fail of one policy.
-    """
+    """Return the worst failure, cost, objective and probability of each way to fail of one policy."""
     chain, semantics = boxed.chain, problem.semantics
     failing = boxed.failing()
     failure = float(chain.start @ failing)

@@ -667,8 +667,7 @@ def fingerprint(model: SSP) -> str:
 
 @kept
 def pair_print(model: SSP) -> str:
-    """Return the fingerprint of a model's pairs by state: the SHA-256 of what a policy needs of it.
-    """
+    """Return the fingerprint of a model's pairs by state: the SHA-256 of what a policy needs of it."""
     digest = sha256(b"ssp-lp pairs 1")
     _fingerprint_array(digest.update, "pair_offsets", model.pair_offsets, "<i8")
     return digest.hexdigest()

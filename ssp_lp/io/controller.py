@@ -349,7 +349,6 @@ def _controller_layer(memory: dict[str, Any], layer: int, state: int) -> int:
 
 
 def _controller_tail(memory: dict[str, Any], reached: float, state: int) -> int:
-    """Return the controller's tail by what is reached: the last one from the state's threshold on.
-    """
+    """Return the controller's tail by what is reached: the last one from the state's threshold on."""
     threshold, last = memory["threshold"][state], memory["tails"] - 1
     return int(memory["cap"] + (0 if threshold is None or reached < threshold else last))

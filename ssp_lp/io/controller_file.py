@@ -175,8 +175,7 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
 
 
 def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:
-    """Return the numbers of a model's actions, and of those by which a run gives up, behind them.
-    """
+    """Return the numbers of a model's actions, and of those by which a run gives up, behind them."""
     names = product.original.action_names
     giving_up = zip(product.action_names[len(names) :], names, strict=True)
     return {**codes, **{name: len(codes) + codes[own] for name, own in giving_up}}

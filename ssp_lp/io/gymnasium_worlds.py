@@ -96,8 +96,7 @@ class EnvironmentSSP(SSP):
         return (END, state) if terminated and state in self.ends else state
 
     def ends_among(self, listed: Callable[[Any], bool], label: Any) -> bool:
-        """Return whether a predicate on the Gymnasium environment's states holds of a state's end.
-        """
+        """Return whether a predicate on the Gymnasium environment's states holds of a state's end."""
         is_end = isinstance(label, tuple) and label[0] == END
         return listed(label[1]) if is_end else label not in self.ends and bool(listed(label))
 
@@ -732,8 +731,7 @@ class _Player:
     def _asked(
         self, member: Policy, state: int, memory: int
     ) -> tuple[list[int], list[int], list[float]]:
-        """Return the decisions of a member, the memories with which they are played, running sums.
-        """
+        """Return the decisions of a member, the memories with which they are played, running sums."""
         branches = member.branches(np.array([state]), np.array([memory]))
         kept = branches.kept(np.array([memory]))
         if UNDECIDED in branches.pair:

@@ -168,8 +168,7 @@ def _explored_program(
 
 
 def _reward_names(program: Any) -> list[str]:
-    """Return the names of the rewards of Storm's program; those of JANI are its transient numbers.
-    """
+    """Return the names of the rewards of Storm's program; those of JANI are its transient numbers."""
     if hasattr(program, "reward_models"):
         return sorted(reward.name for reward in program.reward_models)
     numbers = [v for v in program.global_variables if v.is_transient]
@@ -208,8 +207,7 @@ def _with_most_rewards(
 
 
 def _differs_between_outcomes(program: Any, cost: str) -> bool:
-    """Return whether a program in JANI assigns a variable differently at destinations of one edge.
-    """
+    """Return whether a program in JANI assigns a variable differently at destinations of one edge."""
 
     def paid(destination: Any) -> float | str:
         """Return the value assigned at a destination; as text where it is no number."""

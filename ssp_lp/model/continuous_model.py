@@ -81,13 +81,11 @@ class Axis:
         return ~((heights >= -ON_EDGE) & (heights <= self.cells + ON_EDGE))
 
     def above(self, heights: FloatArray) -> IntArray:
-        """Return the cell of the continuous model's axis at each height, the upper one on an edge.
-        """
+        """Return the cell of the continuous model's axis at each height, the upper one on an edge."""
         return self._numbered(np.floor(heights + ON_EDGE))
 
     def below(self, heights: FloatArray) -> IntArray:
-        """Return the cell of the continuous model's axis at each height, the lower one on an edge.
-        """
+        """Return the cell of the continuous model's axis at each height, the lower one on an edge."""
         return self._numbered(np.ceil(heights - ON_EDGE) - 1.0)
 
     def wrapped(self, values: FloatArray) -> FloatArray:

@@ -137,8 +137,7 @@ def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
 
 @kept
 def hopeless_states(model: SSP) -> BoolArray:
-    """Return the states from which no policy reaches the goal, X_{d,all} of section 2.3, [states].
-    """
+    """Return the states from which no policy reaches the goal, X_{d,all} of section 2.3, [states]."""
     return ~reaching_states(model, model.goal_mask)
 
 
@@ -436,8 +435,7 @@ def dead_end_labels(model: SSP) -> frozenset[Hashable]:
 
 
 def attention_labels(model: SSP) -> frozenset[Hashable]:
-    """Return the labels of the attention states X_{d,or} by the graph: some policy avoids the goal.
-    """
+    """Return the labels of the attention states X_{d,or} by the graph: some policy avoids the goal."""
     return frozenset(model.states[i] for i in attention_states(model).nonzero()[0].tolist())
 
 

@@ -308,8 +308,7 @@ class Exploration:
         return part
 
     def _own_ways(self, rows: IntArray) -> _Ways:
-        """Return the actions of the expanded states; ``rows`` are the states in the explored part.
-        """
+        """Return the actions of the expanded states; ``rows`` are the states in the explored part."""
         flat = self.flat.arrays
         counts, lengths = np.diff(flat["pair_offsets"]), np.diff(flat["outcome_offsets"])
         return _Ways(

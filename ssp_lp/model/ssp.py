@@ -778,8 +778,7 @@ class SSP(Graph, ReadOnlyCopies):
         return np.array([self.index_of(state)])
 
     def action_of(self, pair: int) -> Hashable:
-        """Return the label of the action of a model's pair; :class:`ModelError` if there is none.
-        """
+        """Return the label of the action of a model's pair; :class:`ModelError` if there is none."""
         try:
             return self.action_names[int(self.pair_action[pair])]
         except (IndexError, TypeError) as error:

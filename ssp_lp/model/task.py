@@ -129,8 +129,7 @@ def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
 
 
 def _simplest(alternatives: Iterable[frozenset[Formula]]) -> Obligation:
-    """Return the alternatives without those that ask for more than another one: equal in one form.
-    """
+    """Return the alternatives without those that ask for more than another one: equal in one form."""
     every = frozenset(alternatives)
     return frozenset(a for a in every if not any(b < a for b in every))
 

@@ -171,8 +171,7 @@ def track(
         return model.goal_mask[state] if succeeds is None else succeeds(state, value)
 
     def steps(code: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
-        """Return the pairs by state, pairs, outcomes by pair, outcomes and ends out of some states.
-        """
+        """Return the pairs by state, pairs, outcomes by pair, outcomes and ends out of some states."""
         value, state = np.divmod(code, n)
         acting = np.where(ends(value, state), 0, counts[state])
         pairs = concatenated_ranges(model.pair_offsets[state], acting)

@@ -287,8 +287,7 @@ def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: _Look, 
 
 
 def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
-    """Return the lower bounds to be plotted, proved by reports' prices; -inf: unknown, [reports].
-    """
+    """Return the lower bounds to be plotted, proved by reports' prices; -inf: unknown, [reports]."""
     budget, semantics = problem.failure_budget, problem.semantics
     if budget is None or problem.requirements.several_rows or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)

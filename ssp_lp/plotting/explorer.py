@@ -273,8 +273,7 @@ def _plane(
     *,
     is_graph: bool,
 ) -> dict[str, Any]:
-    """Return the visits of each place, and how much goes along each arrow, at each turning point.
-    """
+    """Return the visits of each place, and how much goes along each arrow, at each turning point."""
     model, known = problem.model, _placed(points)
     middles, inverse = np.unique(points[known], axis=0, return_inverse=True)
     place = np.full(model.n_states, -1)
@@ -352,8 +351,7 @@ def _runs(
 def _ground(
     problem: Problem, points: FloatArray, walls: list[Point], *, is_graph: bool
 ) -> dict[str, Any]:
-    """Return the places with goals, dead-ends, walls and the start; the states' names in a graph.
-    """
+    """Return the places with goals, dead-ends, walls and the start; the states' names in a graph."""
     known = _placed(points)
     everything = np.vstack([points[known], *np.array(walls, dtype=float).reshape(-1, 2)])
     limits = [everything.min(axis=0) - _AROUND, everything.max(axis=0) + _AROUND]

@@ -48,8 +48,7 @@ class BoxedChain:
         return len(np.unique(first)) == len(first)
 
     def at(self, chosen: FloatArray, inside: BoolArray) -> Chain:
-        """Return the chain by chosen probabilities, [moves], with the moves out of some nodes only.
-        """
+        """Return the chain by chosen probabilities, [moves], with the moves out of some nodes only."""
         chain = self.chain
         used = (chosen > 0.0) & inside[chain.source]
         return replace(

@@ -174,8 +174,7 @@ class Chain:
         return own, np.where(ending, 1.0, moving)
 
     def decisions(self) -> Decisions:
-        """Return the decisions of the policy's chain, in the order in which a run can come to them.
-        """
+        """Return the decisions of the policy's chain, in the order in which a run can come to them."""
         begins = sp.csr_array((self.start[None, :] > 0.0).astype(np.float64))
         edges = sp.vstack([sp.hstack([self.matrix, sp.csr_array((self.n_nodes, 1))]),
                            sp.hstack([begins, sp.csr_array((1, 1))])], format="csr")  # fmt: skip

@@ -326,8 +326,7 @@ class Policy(Playable):
 
     @abstractmethod
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the policy's decisions with probabilities in each (state, memory), [situations].
-        """
+        """Return the policy's decisions with probabilities in each (state, memory), [situations]."""
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Return the policy's memory after steps of pairs to successors at costs, [episodes]."""

@@ -152,8 +152,7 @@ def asked(policy: Policy, some: IntArray, states: IntArray, memory: IntArray) ->
 
 
 def merged(memory: IntArray, *parts: Branches) -> Branches:
-    """Return the decisions in different situations as one, by situation; of memories, [situations].
-    """
+    """Return the decisions in different situations as one, by situation; of memories, [situations]."""
     situation, pair, probability, kept = (
         np.concatenate(part)
         for part in zip(*((*part[:3], part.kept(memory)) for part in parts), strict=True)
@@ -471,8 +470,7 @@ class CompletePolicy(_Carried):
         return [*known, (1, "over"), *([] if begins else [(2, "elsewhere")])]
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states with actions, those of the product where the inner policy lives on one.
-        """
+        """Return the states with actions, those of the product where the inner policy lives on one."""
         inner, alone = divmod(memory, 3)
         acting = np.diff(self.model.pair_offsets) > 0
         of_product = isinstance(self.inner, RememberingPolicy) and not alone

@@ -92,8 +92,7 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
 
 
 def _begun(problem: Problem) -> Exploration:
-    """Return the first states of a problem's implicit model, those that its limits name among them.
-    """
+    """Return the first states of a problem's implicit model, those that its limits name among them."""
     whole, start = cast("ImplicitSSP", problem.model), problem.start
     begin = [*start] if isinstance(start, Mapping) else [start]
     named = [word for word in _words_of(problem) if word not in whole.labels]

@@ -151,7 +151,7 @@ def test_a_state_that_was_not_explored_is_named() -> None:
     [
         (lambda: S3P(walk(), 0, 0.3), "total cost of a run"),
         (lambda: CVaR(walk(), 0, 0.9, 0.3), "total cost of a run"),
-        (lambda: MCMP(walk(), 0, 0.3, horizon=5), "horizon is not for"),
+        (lambda: MCMP(walk(), 0, 0.3, horizon=5), "horizon does not support"),
         (lambda: MCMP(walk(), 0, reach_fraction=0.5), "solve MaxProb first"),
         (lambda: MCMP(walk(), 7, 0.3), "7 is not a state in which"),
         (lambda: MCMP(walk(), {7: 1.0}, 0.3), "7 is not a state in which"),

@@ -201,8 +201,7 @@ def _stated_model(
 def _json_outcome(
     where: str, outcome: Any, cost: str | None, counted: set[str]
 ) -> tuple[Any, Hashable, Any]:
-    """Return an outcome, checked for its form; ``counted`` gets the name of the cost that counts.
-    """
+    """Return an outcome, checked for its form; ``counted`` gets the name of the cost that counts."""
     fits = isinstance(outcome, list) and len(outcome) == 3
     if not fits or not isinstance(outcome[1], (str, int)):
         raise ModelError(

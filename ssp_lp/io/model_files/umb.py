@@ -155,8 +155,7 @@ class UmbArchive:
         )
 
     def states(self) -> Sequence[Hashable] | None:
-        """Return the values of each state's variables; None if they do not distinguish the states.
-        """
+        """Return the values of each state's variables; None if they do not distinguish the states."""
         names = list(zip(*self.variables().values(), strict=True))
         return names if len(set(names)) == self._n_states else None
 
