@@ -360,7 +360,7 @@ IN_A_SHELL = [
     ("solve roads.json --goal home --start depot --criterion cvar", "cvar needs --level"),
     (
         "solve roads.json --goal home --start depot --criterion maxprob --level 1/2",
-        "takes no --level",
+        "has no --level",
     ),
     ("solve roads.json --goal home --start depot --limit fuel", "a limit is a quantity"),
     ("solve roads.json --goal home --start depot --limit 'cost <= much'", '"much"'),
@@ -368,7 +368,10 @@ IN_A_SHELL = [
     ("solve roads.json --goal home --start depot --limit 'end(crash) <= 0'", "'crash'"),
     ("solve roads.json --goal home --start depot --policy-out plan.txt", ".npz"),
     ("solve roads.json --goal home --start depot --plot law.txt", "png"),
-    ("solve roads.json --goal home --start depot --property 'P=? [X a]'", "is no property that is"),
+    (
+        "solve roads.json --goal home --start depot --property 'P=? [X a]'",
+        "is not a supported property",
+    ),
     (
         "frontier roads.json --goal home --start depot --over crash",
         "'failure' or the name of a limit",
