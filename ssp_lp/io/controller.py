@@ -239,7 +239,7 @@ class Controller:
         raise ValueError(f"{label!r} is not a state of the model")
 
     def __repr__(self) -> str:
-        """One line: the model's fingerprint, its states and the policy's members."""
+        """Return a line with the model's fingerprint, its states and the policy's members."""
         states, members = len(self._index), len(self._members)
         return f"Controller(model {self.model[:16]}, {states:,} states, members: {members})"
 

@@ -150,7 +150,7 @@ class GymnasiumWorld:
     continuous: ContinuousModel | None = None  # of an array of coordinates: what was discretised
 
     def __repr__(self) -> str:
-        """One line: the model, where episodes begin, and the horizon."""
+        """Return a line with the model, where episodes begin, and the horizon."""
         begins = in_short(dict(self.start))
         return f"GymnasiumWorld({self.model!r}, start={begins}, horizon={self.horizon})"
 
