@@ -353,7 +353,7 @@ IN_A_SHELL = [
     ("solve roads.json --goal home", "--start"),
     ("solve roads.json --goal home --start depo", "did you mean 'depot'?"),
     ("solve raods.json --goal home", "raods.json"),
-    ("solve roads.txt --goal home", "ends in none of"),
+    ("solve roads.txt --goal home", "must end in one of"),
     ("solve roads.json --goal home --start depot --criterion mcpm", "'mcpm'"),
     ("solve roads.json --goal home --start depot --failure-budget 5", "did you mean 0.05?"),
     ("solve roads.json --goal home --start depot --failure-budget five", "'five' is no number"),
@@ -520,7 +520,7 @@ SLIPS = [
     ("from_matrices(3, 1, costs=[1, 1])", "transitions must be"),
     ("from_matrices([np.eye(2)], 1, costs='x')", "costs or rewards are no numbers: 'x'"),
     ("from_gymnasium('FrozenLake-v1')", "an environment is needed, such as"),
-    ("rollout(None, S.policy, episodes=3, seed=0)", "of no environment"),
+    ("rollout(None, S.policy, episodes=3, seed=0)", "has no environment"),
     (
         "rollout(None, S.policy, episodes='x', seed=0)",
         "episodes must be a whole number >= 1, not 'x'",

@@ -142,7 +142,7 @@ def test_what_cannot_be_ends_with_3(roads: Path, run: Run) -> None:
 def test_files_and_parsers_that_refuse(tmp_path: Path, roads: Path, refused: Any) -> None:
     refused("solve", roads)  # which states are goals is not said
     refused("info", tmp_path / "none.json", "--goal", "g")
-    with pytest.raises(ModelError, match=r"ends in none of \.json"):
+    with pytest.raises(ModelError, match=r"must end in one of \.json"):
         read_any(tmp_path / "roads.txt", ["g"])
     refused("info", written(tmp_path, "{"), "--goal", "home", complaint="is no JSON")
     numbers = read_any(written(tmp_path, {"0": {"go": [[1, 1, 2.5]]}}), ["1"]).model
@@ -368,7 +368,7 @@ def test_a_saved_policy_is_simulated(
     refused("simulate", dearer, *played, complaint="or give --no-check if it differs")
     assert run("simulate", dearer, *played, "--no-check")[0] == 0
     other = written(tmp_path, {"depot": {"go": [[1, "home", 1]]}})
-    refused("simulate", other, *played, complaint="has other pairs")
+    refused("simulate", other, *played, complaint="whose pairs differ")
 
 
 def test_the_program_is_written(roads: Path, tmp_path: Path, run: Run) -> None:
