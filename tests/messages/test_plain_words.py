@@ -33,8 +33,6 @@ NOUN_STARTS = {"The", "A", "An", "Whether"}  # a function's first line is an imp
 
 NOT_DONE = {
     # the front door and what stands around it
-    "ssp_lp/plotting": 10,
-    "ssp_lp/reductions": 4,
     # processes and methods
     "ssp_lp/accumulated_cost": 87,
     "ssp_lp/column_generation": 106,
