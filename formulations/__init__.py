@@ -50,7 +50,7 @@ PAGES = {
     "MinProb": "minprob",
     "S3P": "s3p",
 }
-"""The page of each criterion, imported when it is first asked for."""
+"""Module of each criterion, imported on first use."""
 
 _ON_DEMAND = {name: f"{__name__}.{page}" for name, page in PAGES.items()} | {
     "CriteriaComparison": f"{__name__}.comparison",
@@ -63,7 +63,7 @@ __all__ = sorted(_ON_DEMAND)
 
 
 def __getattr__(name: str) -> object:
-    """Import a page when it is first asked for, so that the command line begins at once."""
+    """Import a page on first use, so that the command line starts at once."""
     if name not in _ON_DEMAND:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     member = getattr(import_module(_ON_DEMAND[name]), name)

@@ -12,8 +12,8 @@ class AlphaMCMP(Formulation):
     """Minimise ``E[r_tau]`` subject to ``Pr(goal) >= reach_fraction * greatest probability``.
 
     Problem:
-        MCMP whose failure budget is stated relative to what can be attained at all, so that it is
-        feasible for every share up to 1.
+        MCMP with a failure budget relative to the least attainable failure, so that it is feasible
+        for every share up to 1.
 
     Program:
         that of ``MCMP`` with ``failure_budget = 1 - reach_fraction * max Pr(goal)``.
@@ -38,7 +38,7 @@ class AlphaMCMP(Formulation):
         give_up: "anywhere", "attention" or "dead_ends".
         charge_failing_step: charge the failing step.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the
@@ -64,4 +64,4 @@ class AlphaMCMP(Formulation):
     give_up: str | GiveUp = GiveUp.ANYWHERE
     charge_failing_step: bool = False
 
-    failure_budget = BUDGET_OR_SHARE  # worked out when first asked for, so no field
+    failure_budget = BUDGET_OR_SHARE  # computed on first use, so no field

@@ -1,4 +1,4 @@
-"""The criteria side by side: the same question asked in every way that the literature asks it."""
+"""Criteria side by side: a model solved under every criterion of the literature."""
 
 from __future__ import annotations
 
@@ -34,18 +34,19 @@ _LOG = logging.getLogger("ssp_lp.comparison")
 
 @dataclass(frozen=True)
 class CriterionRow:
-    """One criterion's optimum in the comparison; without a solution only the note says why."""
+    """One criterion's optimum in the comparison; if it is infeasible, the note says why."""
 
-    criterion: str  # the formulation and what was asked of it
+    criterion: str  # the formulation and its parameters
     solution: Solution | None
     note: str = ""
 
     @property
     def numbers(self) -> tuple[float | None, ...]:
-        """A compared criterion's numbers: objective, costs, failure probability and price.
+        """Numbers of a compared criterion: objective, costs, failure probability and price.
 
-        Each under the criterion's own semantics: by default ``MCMP`` and ``ConstrainedCost`` charge
-        the failing step, the others do not, so that the same policy may cost less in their rows.
+        Each follows its own criterion's semantics: by default ``MCMP`` and ``ConstrainedCost``
+        charge the failing step, the others do not, so that the same policy may cost less in their
+        rows.
         ``FinitePenalty`` and ``AlphaMCMP`` let a policy give up anywhere.
         """
         solution = self.solution
@@ -62,12 +63,12 @@ class CriterionRow:
 
 @dataclass(frozen=True, repr=False)
 class CriteriaComparison(Report):
-    """One row per criterion, in the order in which they were asked."""
+    """One row per criterion, in the order of the comparison."""
 
     rows: tuple[CriterionRow, ...]
 
     def __getitem__(self, criterion: str) -> CriterionRow:
-        """The row of a criterion by its name.
+        """Return the row of a criterion by its name.
 
         Raises:
             KeyError: no row has this name.
@@ -79,13 +80,13 @@ class CriteriaComparison(Report):
         raise KeyError(f"{criterion!r} is no row{nearest}")
 
     def __repr__(self) -> str:
-        """One line: how many criteria there are; :meth:`summary` is the table."""
+        """Return a line with the number of criteria; :meth:`summary` is the table."""
         unmet = sum(row.solution is None for row in self.rows)
-        infeasible = f", {unmet} that no policy meets" if unmet else ""
+        infeasible = f", {unmet} infeasible" if unmet else ""
         return f"CriteriaComparison({len(self.rows)} criteria{infeasible})"
 
     def tables(self) -> list[Table]:
-        """One table with a row for each criterion; those without numbers say why."""
+        """Return a table with a row for each criterion; notes explain rows without numbers."""
         rows = [(row.criterion, *row.numbers, row.note) for row in self.rows]
         notes = [f"{row.criterion}: {row.note}" for row in self.rows if row.note]
         return [Table(rows, _HEAD, notes=notes, hidden={"note"})]
@@ -106,23 +107,23 @@ def compare_criteria(
     horizon: int | None = None,
     verbose: bool = False,
 ) -> CriteriaComparison:
-    """Solve a model under every criterion and put the answers side by side.
+    """Solve a model under every criterion and return one table.
 
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
-        failure_budgets: budgets of ``MCMP`` and ``S3P``, besides least failure.
+        failure_budgets: budgets of ``MCMP`` and ``S3P``, in addition to least failure.
         penalties: penalties D of ``FinitePenalty``, in units of cost.
-        reach_fractions: shares of the greatest goal probability asked of ``AlphaMCMP``.
+        reach_fractions: shares of the greatest goal probability for ``AlphaMCMP``.
         cost_bounds: bounds of ``CostBoundedReach``, without and within each budget.
-        levels: levels of ``CostQuantile`` and ``CVaR``, at least failure and within each budget.
+        levels: levels of ``CostQuantile`` and ``CVaR``, with least failure and within each budget.
         exponential_utilities: (risk factor, goal bonus) of ``EGUBS``.
-        limits: of ``ConstrainedCost``, at least failure and within each budget.
+        limits: of ``ConstrainedCost``, with least failure and within each budget.
         horizon: of every criterion: the goal counts only within so many steps.
-        verbose: show how far it has come (``ssp_lp.progress_shown``).
+        verbose: show progress (``ssp_lp.progress_shown``).
 
     Returns:
-        One row per criterion. One that no policy meets stays as a row with the reason.
+        One row per criterion. The row of an infeasible criterion has the reason instead of numbers.
 
     Raises:
         ModelError: an unknown start, or an argument out of range.
@@ -148,7 +149,7 @@ def compare_criteria(
     """
 
     def asked(criterion: type[Any], words: str, *given: Any, **named: Any) -> tuple[str, Problem]:
-        """A compared criterion's name and problem."""
+        """Return a compared criterion's name and problem."""
         problem = criterion(model, start, *given, horizon=horizon, **named)
         return f"{criterion.__name__}{words}", problem
 

@@ -22,7 +22,7 @@ class ConstrainedCost(Formulation):
 
     Problem:
         the cost of MCMP with any number of secondary costs, such as fuel, time or exposure, each
-        with an upper bound on its expected total; with a failure budget or at least failure. Where
+        with an upper bound on its expected total; with a failure budget or with least failure. If
         the goal can be reached surely, ``failure_budget=None`` is the C-SSP of Trevizan et al.
 
     Program:
@@ -32,13 +32,13 @@ class ConstrainedCost(Formulation):
     Guarantee:
         the optimum is attained by a lottery over at most (active rows + 1) deterministic stationary
         policies; ``prices`` holds the dual of each row by name: minus the slope of the optimal
-        cost in its bound. Rows that contradict each other are named, with the proof.
+        cost in its bound. An infeasible problem names rows that contradict each other, with proof.
 
     Semantics:
         every secondary cost is counted as the cost is: until failure is declared, with
-        ``charge_failing_step`` charging the least of that cost, and discounted where a discount is
-        given. Policies that pay any of the costs for ever do not count. At least failure only
-        policies of the greatest goal probability count, and the limits choose among those.
+        ``charge_failing_step`` charging the least of that cost, and discounted if a discount is
+        given. Policies that pay any of the costs for ever are excluded. With least failure the
+        limits choose among the policies of the greatest goal probability.
 
     Reference:
         Trevizan, Thiebaux, Santana, Williams: Heuristic search in dual space for constrained
@@ -47,20 +47,20 @@ class ConstrainedCost(Formulation):
 
     Args:
         model: the model.
-        start: a state, or ``{state: probability}``; the bounds hold in the mean.
-        limits: name -> ``CostLimit(cost, bound)``; the cost as ``{state: {action: cost}}`` (what
-            is not listed costs nothing), or as an array by pair or by outcome.
+        start: a state, or ``{state: probability}``; the bounds hold in expectation.
+        limits: name -> ``CostLimit(cost, bound)``; the cost as ``{state: {action: cost}}`` (0 for
+            entries that are missing), or as an array by pair or by outcome.
         failure_budget: largest failure probability; None: as low as possible; 1: unlimited.
         discount: None for exact numbers, or gamma in (0, 1).
         give_up: "anywhere", "attention" (the paper) or "dead_ends".
         charge_failing_step: charge the failing step (the paper's section 3.1.2).
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the
         ``prices`` and ``secondary_costs`` by name, and a lottery over at most (active rows + 1)
-        policies. ``InfeasibleError.conflicting_rows`` names a conflict none of whose rows can go.
+        policies. ``InfeasibleError.conflicting_rows`` names a smallest set of conflicting rows.
 
     Raises:
         ModelError: a budget or a discount out of range, an unknown start or ``give_up``, a limit

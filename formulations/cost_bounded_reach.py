@@ -28,9 +28,9 @@ class CostBoundedReach(Formulation):
         truncated. ``upper_bound`` comes from a checked sub-solution of the priced problem.
 
     Semantics:
-        exact; costs and bound are compared as the decimals or fractions that they are, so that
-        three steps of 0.1 keep to a bound of 0.3. Wandering for ever is failure.
-        ``failure_budget=1.0`` limits nothing; ``None`` counts only policies that fail least.
+        exact; costs and bound are compared as exact decimals or fractions, so that three steps of
+        0.1 satisfy a bound of 0.3. Wandering for ever is failure. ``failure_budget=1.0`` limits
+        nothing; ``None`` admits only policies that fail least.
 
     Reference:
         Andova, Hermanns and Katoen, FORMATS 2003 (reward-bounded reachability); Hartmanns, Junges,
@@ -38,20 +38,20 @@ class CostBoundedReach(Formulation):
 
     Args:
         model: the model.
-        start: a state, or ``{state: probability}``; one budget for the mean.
+        start: a state, or ``{state: probability}``; the budget holds in expectation.
         cost_bound: greatest total cost, a number or a fraction, not negative.
         failure_budget: largest failure probability; None: as low as possible.
-        cost_levels: tell at most so many totals apart, as in ``S3P``.
+        cost_levels: greatest number of totals that are distinguished, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,
-        the ``failure_price`` (what a little more budget gains), and a lottery over at most two
+        the ``failure_price`` (the gain per unit of budget), and a lottery over at most two
         policies of (state, accumulated cost).
 
     Raises:
-        ModelError: a bound or a budget that is no number or out of range, or an unknown start.
+        ModelError: a bound or a budget that is not a number or out of range, or an unknown start.
 
     Example:
         >>> from ssp_lp import SSP, solve

@@ -37,17 +37,23 @@ class CostBudgetedMaxProb(Formulation):
     Guarantee:
         the optimum is attained by a lottery over at most (active rows + 1) deterministic stationary
         policies. It is concave in the budget, and ``prices["cost budget"]`` is its slope.
-        ``upper_bound`` is certified. Where every policy costs more, ``InfeasibleError`` says so.
+        ``upper_bound`` is certified. If every policy costs more, ``solve`` raises
+        ``InfeasibleError``.
 
     Semantics:
-        that of ``MaxProb``, wandering for ever is failure. The cost is counted until failure is
-        declared, in the mean over all runs, and giving up is not charged. ``give_up`` says where
-        that is allowed: where the goal can be avoided for sure (the paper's stopping time, the
-        default); nowhere, so that runs pay until they end in the goal or a dead-end, and those that
-        pay for ever do not count (constrained Markov decision processes, and multi-objective model
-        checking); or anywhere, so that whoever runs out of budget stops for nothing (flows may
-        vanish in any state) and no budget is too small. The greatest probability never falls from
-        "dead_ends" to "attention" to "anywhere".
+        that of ``MaxProb``: wandering for ever is failure. The cost is counted until failure is
+        declared, in expectation over all runs, and giving up is not charged. ``give_up`` says where
+        giving up is allowed:
+
+        - "attention" (the paper's stopping time, the default): where the goal can be avoided
+        surely. - "dead_ends": nowhere, so that runs pay until they end in the goal or a dead-end,
+        and policies
+          that pay for ever are excluded (constrained Markov decision processes, and multi-objective
+          model checking).
+        - "anywhere": in every state, at no cost (flows may vanish in any state), so that no budget
+          is too small.
+
+        The greatest probability never falls from "dead_ends" to "attention" to "anywhere".
 
     Reference:
         Altman: Constrained Markov decision processes, 1999; Forejt, Kwiatkowska, Norman, Parker,
@@ -57,19 +63,19 @@ class CostBudgetedMaxProb(Formulation):
 
     Args:
         model: the model.
-        start: a state, or ``{state: probability}``; the budget holds in the mean.
+        start: a state, or ``{state: probability}``; the budget holds in expectation.
         cost_budget: the largest expected total cost, a number, finite and not negative.
         give_up: "attention" (the paper), "dead_ends" or "anywhere".
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,
-        the price of the budget in ``prices``, what is spent in ``secondary_costs``, and a lottery.
+        the price of the budget in ``prices``, the cost in ``secondary_costs``, and a lottery.
 
     Raises:
-        ModelError: a budget that is no number or out of range, an unknown start or ``give_up``, or
-            a further constraint that is named "cost budget".
+        ModelError: a budget that is not a number or out of range, an unknown start or ``give_up``,
+            or a further constraint that is named "cost budget".
 
     Example:
         >>> from ssp_lp import SSP, solve

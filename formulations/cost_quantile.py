@@ -19,15 +19,15 @@ class CostQuantile(Formulation):
     """Minimise the ``level``-quantile of the total cost given success.
 
     Problem:
-        the least B for which some policy within the failure budget keeps ``Pr(C <= B | goal) >=
+        the least B for which some policy within the failure budget has ``Pr(C <= B | goal) >=
         level``: a promise of the form "in 95 of 100 runs that succeed the cost is at most B".
 
     Program:
         for a bound B, minimise <late, x> / <goal, x> subject to flow balance, <failure, x> <=
         failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1), where late
         counts the arrivals beyond B: the program of ``S3P`` with another charge. Its optimum falls
-        as B grows, and B is found by Newton's method: at given prices one sweep refutes every
-        bound that they can.
+        as B grows, and Newton's method finds B: at given prices one sweep refutes all bounds that
+        these prices can refute.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
@@ -36,8 +36,8 @@ class CostQuantile(Formulation):
 
     Semantics:
         exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. Without a
-        budget (1.0) the least cost with which the goal can be reached at all is the answer, since
-        whoever is unlucky may fail. The comparison has a relative slack of 1e-12.
+        budget (1.0) the optimum is the least cost with which the goal can be reached at all, since
+        all other runs may fail. The comparison has a relative slack of 1e-12.
 
     Reference:
         quantiles: Baier, Daum, Dubslaff, Klein and Klueppelholz, NFM 2014; Randour, Raskin and
@@ -45,17 +45,17 @@ class CostQuantile(Formulation):
 
     Args:
         model: the model.
-        start: a state, or ``{state: probability}``; one budget for the mean.
+        start: a state, or ``{state: probability}``; the budget holds in expectation.
         level: strictly between 0 and 1.
         failure_budget: largest failure probability; None: as low as possible.
-        cost_levels: tell at most so many totals apart, as in ``S3P``.
+        cost_levels: greatest number of totals that are distinguished, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the least quantile as ``objective``, a certified ``lower_bound``, and a
-        lottery over at most two policies; of those with this quantile one that keeps to it most
-        often.
+        lottery over at most two policies; of those with this quantile, one whose cost is within it
+        most often.
 
     Raises:
         ModelError: a level or a budget that is no number or out of range, or an unknown start.

@@ -13,24 +13,24 @@ class CVaR(Formulation):
 
     Problem:
         min over policies within the failure budget of CVaR_level(C | goal) = min over z of ``z +
-        E[(C - z)^+ | goal] / (1 - level)``. Level 0 is ``S3P``; as the level grows to 1 the worst
-        runs are all that counts.
+        E[(C - z)^+ | goal] / (1 - level)``. Level 0 is ``S3P``; as the level grows to 1, only the
+        worst runs count.
 
     Program:
         for a threshold z, minimise <integrand, x> / <goal, x> subject to flow balance, <failure,
         x> <= failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1): the
-        program of ``S3P`` with a kink in what an arrival is charged. The least over z, which for
-        any policy is attained at its quantile and so at a total that can occur.
+        program of ``S3P`` with a kink in the charge of an arrival. The minimum over z is attained,
+        for any policy, at its quantile and so at a total that can occur.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
-        optimum. Every threshold is refuted by a checked sub-solution, its own or that of an
-        interval around it, or because no tail mean is below its own threshold: ``lower_bound`` is
-        the least of these bounds.
+        optimum. Every threshold is refuted by a checked sub-solution, for itself or for an interval
+        around it, or because no tail mean is below its own threshold: ``lower_bound`` is the least
+        of these bounds.
 
     Semantics:
-        exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. The tail of
-        a law with an atom at its quantile counts as much of the atom as belongs to the share.
+        exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. An atom at
+        the quantile of a law belongs to the tail in part, so that the tail has its exact share.
 
     Reference:
         Rockafellar and Uryasev, Journal of Risk 2, 2000; for stochastic shortest paths
@@ -38,12 +38,12 @@ class CVaR(Formulation):
 
     Args:
         model: the model.
-        start: a state, or ``{state: probability}``; one budget for the mean.
+        start: a state, or ``{state: probability}``; the budget holds in expectation.
         level: at least 0 and below 1.
         failure_budget: largest failure probability; None: as low as possible.
-        cost_levels: tell at most so many totals apart, as in ``S3P``.
+        cost_levels: greatest number of totals that are distinguished, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the least conditional value at risk as ``objective``, a certified

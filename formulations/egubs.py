@@ -22,8 +22,8 @@ class EGUBS(Formulation):
         goal_bonus.
 
     Guarantee:
-        a deterministic policy of (state, accumulated cost) attains the optimum. From a finite
-        accumulated cost on, ``cost_horizon``, a stationary policy is optimal: the greatest goal
+        a deterministic policy of (state, accumulated cost) attains the optimum. Beyond a finite
+        accumulated cost, ``cost_horizon``, a stationary policy is optimal: the greatest goal
         probability first, then the greatest exponential moment. The table of costs ends there, so
         that nothing is truncated; ``upper_bound`` is checked.
 
@@ -40,9 +40,9 @@ class EGUBS(Formulation):
         start: a state, or ``{state: probability}``.
         risk_factor: lambda < 0, per unit of cost.
         goal_bonus: K_g >= 0.
-        cost_levels: tell at most so many totals apart, as in ``S3P``.
+        cost_levels: greatest number of totals that are distinguished, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the greatest expected utility as ``objective``, a certified

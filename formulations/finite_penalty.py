@@ -9,11 +9,11 @@ from ssp_lp.formulation import SSP, Boxes, Formulation, GiveUp, Start, check_pen
 
 @dataclass(frozen=True, eq=False)
 class FinitePenalty(Formulation):
-    """Minimise ``E[r_tau] + penalty * failure probability``; failing is allowed and has its price.
+    """Minimise ``E[r_tau] + penalty * failure probability``: failing is allowed, at a price.
 
     Problem:
         r_tau is the cost paid until the goal has become unreachable under the policy, all of it if
-        the goal is reached; whoever fails pays the penalty on top (fSSPUDE).
+        the goal is reached; runs that fail pay the penalty in addition (fSSPUDE).
 
     Program:
         minimise <cost + penalty * failure, x> subject to flow balance, x >= 0, over the process of
@@ -25,14 +25,14 @@ class FinitePenalty(Formulation):
         the optima run along the tangents of MCMP's frontier, each of slope minus the penalty.
 
     Semantics:
-        ``give_up`` and ``charge_failing_step`` as in ``MCMP``, by default as published: whoever
-        gives up, anywhere, pays the penalty and nothing else. With a ``discount`` the cost is
+        ``give_up`` and ``charge_failing_step`` as in ``MCMP``, by default as published: giving up,
+        anywhere, costs the penalty and nothing else. With a ``discount`` the cost is
         discounted and the penalty falls on the discounted failure. ``expected_cost`` is the cost
         without the penalty.
 
     Reference:
         Kolobov, Mausam and Weld, UAI 2012 (fSSPUDE). Their Theorem 7, on its relation to the
-        infinite penalty, was withdrawn; nothing here rests on it.
+        infinite penalty, was withdrawn; nothing here relies on it.
 
     Args:
         model: the model.
@@ -42,8 +42,8 @@ class FinitePenalty(Formulation):
         give_up: "anywhere", "attention" or "dead_ends".
         charge_failing_step: charge the failing step as well.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        box: intervals of the probabilities; the worst case over all of them is what counts.
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        box: intervals of the probabilities; the worst case over all of them counts.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: cost and penalty together as ``objective``, a certified
@@ -65,7 +65,7 @@ class FinitePenalty(Formulation):
 
     model: SSP
     start: Start
-    penalty: float = field()  # needed, though every criterion has one, 0
+    penalty: float = field()  # required here; other criteria have 0
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ANYWHERE
     charge_failing_step: bool = False

@@ -10,11 +10,11 @@ from ssp_lp.formulation import SSP, ExpectedUtility, Formulation, Start, Utility
 
 @dataclass(frozen=True, eq=False)
 class GUBS(Formulation):
-    """Maximise ``E[utility(C)] + goal_bonus * Pr(goal)``; whoever fails pays an infinite cost.
+    """Maximise ``E[utility(C)] + goal_bonus * Pr(goal)``; failing runs have an infinite cost.
 
     Problem:
         C is the total cost of a run, infinite if the goal is not reached (goals with
-        utility-based semantics). The bonus says how much cost a little more probability is worth,
+        utility-based semantics). The bonus says how much cost a small gain in probability is worth,
         which neither a lexicographic order nor a penalty can say consistently.
 
     Program:
@@ -25,12 +25,12 @@ class GUBS(Formulation):
     Guarantee:
         a deterministic policy of (state, accumulated cost) attains the optimum. Beyond the table
         of costs the utility is bounded by its limit from below and by its value at the table's end
-        from above; the table grows until the certified gap meets the tolerance. A utility that
-        does not come near its limit within 100,000 layers leaves an honest gap.
+        from above; the table grows until the certified gap meets the tolerance. If a utility is far
+        from its limit after 100,000 layers, the reported gap stays above the tolerance.
 
     Semantics:
         exact. Wandering for ever is failure. ``utility`` must not increase, maps arrays to arrays
-        and is evaluated at totals that are told apart only.
+        and is evaluated only at totals that are distinguished.
 
     Reference:
         Freire and Delgado, AAMAS 2017 (GUBS). For the exponential utility see ``EGUBS``.
@@ -40,10 +40,10 @@ class GUBS(Formulation):
         start: a state, or ``{state: probability}``.
         utility: non-increasing function of the total cost, on arrays.
         goal_bonus: K_g >= 0.
-        utility_at_infinity: what the utility falls to, and what failing is worth.
-        cost_levels: tell at most so many totals apart, as in ``S3P``.
+        utility_at_infinity: limit of the utility, and the worth of failing.
+        cost_levels: greatest number of totals that are distinguished, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the greatest expected utility as ``objective``, a certified

@@ -17,18 +17,18 @@ class ISSPUDE(Formulation):
 
     Program:
         two stages. MAXPROB; then minimise <cost * Pmax(successor), x> / Pmax(start) over the pairs
-        that attain it. No accumulated cost is needed, since Pmax says what every run is worth.
+        that attain it. No accumulated cost is needed, since Pmax determines the worth of every run.
 
     Guarantee:
         a deterministic stationary policy attains the optimum; ``lower_bound`` comes from checked
         bounds of both stages.
 
     Semantics:
-        what a failing run costs does not matter. ``S3P(failure_budget=None)`` has the same optimum
-        and the same policies: S3P states the same two stages for costs of any kind, in dead-ends
-        too, and the relaxation to a budget is its own (``S3P(failure_budget=...)``). ``MCMP`` at
-        least failure shares the first stage and differs in the second, where it counts the cost of
-        failing runs too, up to the failure.
+        the cost of failing runs does not matter. ``S3P(failure_budget=None)`` has the same optimum
+        and the same policies; it states the two stages for costs of any kind, in dead-ends too, and
+        relaxes the first one to a budget (``S3P(failure_budget=...)``). ``MCMP`` with least failure
+        shares the first stage; its second stage also counts the cost of failing runs, up to the
+        failure.
 
     Reference:
         Kolobov, Mausam and Weld, UAI 2012; Teichteil-Koenigsbuch, AAAI 2012 (S3P).
@@ -37,7 +37,7 @@ class ISSPUDE(Formulation):
         model: the model.
         start: a state, or ``{state: probability}``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the least cost given success as ``objective``, a certified

@@ -9,11 +9,11 @@ from ssp_lp.formulation import SSP, Formulation, GiveUp, Quantity, Start
 
 @dataclass(frozen=True, eq=False)
 class LeastQuantity(Formulation):
-    """Minimise a quantity of one's own subject to a failure budget and any constraints.
+    """Minimise a quantity of your own subject to a failure budget and any constraints.
 
     Problem:
         min over policies of ``quantity``: a sum of multiples of secondary costs, visits of states
-        and probabilities of ends. Ends may have negative weights: what is to be likely.
+        and probabilities of ends. A negative weight makes an end likely.
 
     Program:
         minimise <quantity, x> subject to flow balance, <failure, x> <= failure_budget, <row_k, x>
@@ -24,9 +24,9 @@ class LeastQuantity(Formulation):
         optimum; ``lower_bound`` is certified.
 
     Semantics:
-        that of ``MCMP``, with the quantity in place of the cost and giving up uncharged unless
-        asked for. Where an end is to be likely,
-        failing is declared only on giving up or entering a dead-end.
+        that of ``MCMP``, with the quantity in place of the cost and giving up uncharged by default.
+        If an end has a negative weight, failing is declared only on giving up or entering a
+        dead-end.
 
     Reference:
         Altman: Constrained Markov decision processes, 1999.
@@ -34,13 +34,13 @@ class LeastQuantity(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
-        quantity: what is minimised, such as ``visits("ward") + 2.0 * secondary_cost(fuel)``.
+        quantity: the objective, such as ``visits("ward") + 2.0 * secondary_cost(fuel)``.
         failure_budget: largest failure probability; None: as low as possible; 1: unlimited.
         discount: None for exact numbers, or gamma in (0, 1).
         give_up: "anywhere", "attention" (the paper) or "dead_ends".
         charge_failing_step: charge the failing step (the paper's section 3.1.2).
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the least value as ``objective``, a certified ``lower_bound``, the
@@ -64,7 +64,7 @@ class LeastQuantity(Formulation):
 
     model: SSP
     start: Start
-    quantity: Quantity = field()  # needed, though every criterion has one of this name, None
+    quantity: Quantity = field()  # required here; None in other criteria
     failure_budget: float | None = 1.0
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ATTENTION

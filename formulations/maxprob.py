@@ -16,20 +16,20 @@ class MaxProb(Formulation):
         max over policies of Pr(the goal is ever reached).
 
     Program:
-        minimise <failure, x> subject to flow balance, x >= 0, on the process in which every end
-        component without a way out of it is one place; the optimum is 1 - ``objective``.
+        minimise <failure, x> subject to flow balance, x >= 0, on the process in which every closed
+        end component is collapsed into one place; the optimum is 1 - ``objective``.
 
     Guarantee:
         a deterministic stationary policy attains the greatest probability from every state at
-        once. ``upper_bound``, a checked super-solution of the optimality equations, limits it from
-        above; ``lower_bound`` is what the policy attains, and ``gap`` lies between the two.
+        once. ``upper_bound`` comes from a checked super-solution of the optimality equations;
+        ``lower_bound`` is the policy's own probability, and ``gap`` the distance of the two.
 
     Semantics:
-        exact, wandering for ever is failure. Any policy of greatest probability may be returned:
-        ``MCMP`` and ``S3P`` at least failure choose the cheapest. Limited quantities are counted
-        until failure is declared: ``give_up`` says where a policy may declare it. With
-        "dead_ends" they are counted until the goal is out of reach, as in the multi-objective
-        queries of Storm and PRISM, ``multi(Pmax=? [F "goal"], R<=b [C])``.
+        exact; wandering for ever is failure. Any policy of greatest probability may be returned:
+        ``MCMP`` and ``S3P`` with least failure choose the cheapest. Limited quantities are counted
+        until failure is declared: ``give_up`` says where a policy may declare it. With "dead_ends"
+        they are counted until the goal is unreachable, as in the multi-objective queries of Storm
+        and PRISM, ``multi(Pmax=? [F "goal"], R<=b [C])``.
 
     Reference:
         Kolobov, Mausam, Weld and Geffner, 2011; paper, section 2.3.
@@ -37,10 +37,10 @@ class MaxProb(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
-        give_up: "anywhere", "attention" (the paper) or "dead_ends"; it matters under limits only.
+        give_up: "anywhere", "attention" (the paper) or "dead_ends"; relevant with limits only.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        box: intervals of the probabilities; the worst case over all of them is what counts.
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        box: intervals of the probabilities; the worst case over all of them counts.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,

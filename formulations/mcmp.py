@@ -26,7 +26,7 @@ class MCMP(Formulation):
 
     Semantics:
         ``give_up``: where a policy may declare failure (``GiveUp``); ``charge_failing_step``:
-        whether the step at which failure is declared is paid. Left out they are the paper's,
+        whether the step at which failure is declared is paid. Their defaults are the paper's,
         "attention" and True; with ``reach_fraction`` the published ones, "anywhere" and False.
         With a ``discount`` both cost and failure are discounted (section 3.5).
 
@@ -36,15 +36,15 @@ class MCMP(Formulation):
 
     Args:
         model: the model.
-        start: a state, or ``{state: probability}``; one budget for the mean.
+        start: a state, or ``{state: probability}``; the budget holds in expectation.
         failure_budget: largest failure probability; None: as low as possible.
         discount: None for exact probabilities, or gamma in (0, 1).
         give_up: "anywhere", "attention" (the paper) or "dead_ends"; None: as above.
         charge_failing_step: charge the failing step (the paper's section 3.1.2); None: as above.
-        reach_fraction: instead of a budget, the share of the greatest goal probability that must
-            be attained (of the real one, also under a discount).
+        reach_fraction: instead of a budget, the least share of the greatest goal probability (of
+            the undiscounted one, also under a discount).
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the

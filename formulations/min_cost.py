@@ -20,13 +20,13 @@ class MinCost(Formulation):
 
     Guarantee:
         a deterministic stationary policy attains the optimum; ``lower_bound`` comes from a checked
-        sub-solution of Bellman's equation. End components that cost nothing are collapsed first,
-        so that a policy must leave them: a loop of cost 0 is not a cheap answer.
+        sub-solution of Bellman's equation. End components of cost 0 are collapsed first and must be
+        left by the policy: a loop of cost 0 is not a solution.
 
     Semantics:
-        exact. Where no proper policy exists from the start the value is infinite and ``solve``
-        raises; ``evaluate`` gives an improper policy the objective infinity. Whether a policy is
-        proper is read off the graph, so no probability is ever compared with 1.
+        exact. If no proper policy exists from the start the value is infinite and ``solve`` raises;
+        ``evaluate`` gives an improper policy the objective infinity. Whether a policy is proper is
+        decided on the graph, so no probability is ever compared with 1.
 
     Reference:
         Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991.
@@ -35,8 +35,8 @@ class MinCost(Formulation):
         model: the model.
         start: a state, or ``{state: probability}``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        box: intervals of the probabilities; the worst case over all of them is what counts.
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        box: intervals of the probabilities; the worst case over all of them counts.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, and one

@@ -13,8 +13,8 @@ class MinProb(Formulation):
     """Minimise the probability of reaching the goal; costs do not count (MINPROB).
 
     Problem:
-        min over policies of Pr(the goal is ever reached): how much of the way to the goal cannot
-        be missed.
+        min over policies of Pr(the goal is ever reached): the probability that the goal cannot be
+        avoided.
 
     Program:
         minimise <goal, x> subject to flow balance, x >= 0, where mass may leave for good at the
@@ -35,7 +35,7 @@ class MinProb(Formulation):
         model: the model.
         start: a state, or ``{state: probability}``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the least probability as ``objective``, a certified ``lower_bound``,

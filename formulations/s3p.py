@@ -24,34 +24,34 @@ class S3P(Formulation):
 
     Program:
         minimise <cost, x> / <goal, x> subject to flow balance and <failure, x> <= budget over
-        states x accumulated cost (section 3.1.1): cost is charged on arrival at the goal, all
-        that was accumulated. By Charnes and Cooper's scaling it is a linear program.
+        states x accumulated cost (section 3.1.1): the accumulated cost is charged on arrival at
+        the goal. By Charnes and Cooper's scaling it is a linear program.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
-        optimum; at least failure (None) a policy of the state alone does.
+        optimum; with least failure (None) a policy of the state alone does.
 
     Semantics:
-        failing episodes cost nothing, so nobody pays for giving up: a policy fails for real, in
-        the attention states. Accumulated cost is tracked up to a cap M and followed by tail
-        policies (section 3.5); M grows until the certified gap meets the tolerance.
+        failing episodes cost nothing, so giving up needs no charge: a policy truly fails, in the
+        attention states. Accumulated cost is tracked up to a cap M and followed by tail policies
+        (section 3.5); M grows until the certified gap meets the tolerance.
 
     Reference:
         Teichteil-Koenigsbuch, AAAI 2012 (S3P); paper, sections 2.3, 2.5 and 3.1.1.
 
     Args:
         model: the model.
-        start: a state, or ``{state: probability}``; one budget for the mean.
+        start: a state, or ``{state: probability}``; the budget holds in expectation.
         failure_budget: largest failure probability; None: as low as possible.
         discount: None for exact probabilities, or gamma in (0, 1).
         cost_cap: fix the cap M on accumulated cost; None: chosen as above.
-        reach_fraction: instead of a budget, the share of the greatest goal probability that must
-            be attained (of the real one, also under a discount).
-        cost_levels: tell at most so many totals apart; None: as many as the costs and the
-            tolerance ask for. Costs without a common unit are told apart by their sums, or, where
-            these are too many, on a grid, with an honest gap.
+        reach_fraction: instead of a budget, the least share of the greatest goal probability (of
+            the undiscounted one, also under a discount).
+        cost_levels: greatest number of totals that are distinguished; None: as many as costs and
+            tolerance require. Costs without a common unit are distinguished by their sums or, if
+            these are too many, on a grid, which leaves a gap that is reported.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
+        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
         the problem. Solved: the least cost given success as ``objective``, a certified

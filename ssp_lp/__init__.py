@@ -1,6 +1,6 @@
 """ssp-lp: reach the goal as cheaply as possible, and fail with probability at most epsilon.
 
-Every public name is imported when it is first asked for, the criteria of ``formulations`` included:
+Public names are imported on first use, the criteria of ``formulations`` included:
 ``from ssp_lp import SSP, MCMP, solve``.
 """
 
@@ -186,10 +186,10 @@ _ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for nam
 
 
 def _add_formulations() -> None:
-    """Know the criteria: the wheel has their pages inside this package, a checkout beside it.
+    """Make the criteria importable: an installed wheel holds them inside, a checkout beside it.
 
-    Either way they have one name, so that pickles of the one are read by the other, and a package
-    ``formulations`` of somebody else does not matter.
+    In both cases the modules have the same name, so that a pickle made with the one is read with
+    the other, and another package called ``formulations`` does no harm.
     """
     inner = f"{__name__}.formulations"
     if find_spec(inner) is None:
@@ -208,12 +208,12 @@ __all__ = sorted(_ON_DEMAND)
 
 
 def __dir__() -> list[str]:
-    """The public names, whether they have been asked for or not."""
+    """Return the public names, whether they have been asked for or not."""
     return sorted({*globals(), *__all__})
 
 
 def __getattr__(name: str) -> object:
-    """Import a name when it is first asked for: the command line's help needs none of them."""
+    """Import a name on first use: the help of the command line needs no such import."""
     if name in _ON_DEMAND:
         globals()[name] = member = getattr(import_module(_ON_DEMAND[name]), name)
         return member
@@ -224,7 +224,7 @@ def __getattr__(name: str) -> object:
     from ssp_lp.errors import did_you_mean
 
     message = f"there is no {name} in {__name__}{did_you_mean(name, __all__)}"
-    # ``from ssp_lp import`` would replace the words of an AttributeError, and ``hasattr`` needs one
+    # ``from ssp_lp import`` replaces the text of an AttributeError, and ``hasattr`` needs one
     if sys._getframe(1).f_code.co_name == "_handle_fromlist":
         raise ImportError(message, name=__name__)
     raise AttributeError(message)

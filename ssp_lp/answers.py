@@ -1,7 +1,7 @@
-"""Many problems at once: solved side by side by processes, threads or machines, answered in order.
+"""Solve many problems side by side with processes, threads or machines; answers keep the order.
 
-A model goes to the workers once, as a file that they map into memory; in problems and answers
-its place there stands for it, so that both are small and an answer is on the caller's own model.
+Each model is sent to the workers once, as a file that they map into memory. In problems and answers
+its place in that file stands for it: both are small, and answers refer to the caller's own model.
 """
 
 from __future__ import annotations
@@ -44,31 +44,29 @@ from ssp_lp.solution import Solution
 from ssp_lp.solving import solve
 
 Answer = Solution | SSPError
-"""What a problem comes to: its solution, or why it has none."""
+"""Answer to a problem: its solution, or the error that says why there is none."""
 
 _LOG = logging.getLogger("ssp_lp.answers")
-_SHOWN = 20  # problems in a summary
-_AHEAD = 2  # problems in hand for each process, one of them waiting, so that none idles
-_LATE = 2.0  # seconds beyond the limit of the whole in which answers that were begun may come
-_ASKED = 3  # times that a problem is given to a process, if those before died of it
+_SHOWN = 20  # problems listed in a summary
+_AHEAD = 2  # problems queued for each process, so that none idles
+_LATE = 2.0  # seconds after the total time limit in which answers in progress may arrive
+_ASKED = 3  # attempts at a problem whose process dies
 _TOO_LATE = "total_time_limit ended before this problem was solved: allow more time"
-_DIED = (
-    f"{_ASKED} processes died while they solved it, perhaps for want of memory: try it by itself"
-)
+_DIED = f"{_ASKED} processes died while solving it, perhaps for lack of memory: solve it by itself"
 
 
 @explained
 def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[Problem]:
-    """Problems of one criterion, one for each combination of what is given as a list.
+    """Return the problems of one criterion, one for each combination of the listed arguments.
 
     Args:
         criterion: such as ``MCMP``.
         given: its arguments in their order. Lists, ranges and arrays are swept, the last one
-            fastest; anything else is the same in all problems.
+            fastest; any other value is used in all problems.
         named: its arguments by name, likewise, and parameters of the model.
 
     Raises:
-        ModelError: as of the criterion, a list is empty, or a name is ambiguous.
+        ModelError: an argument that the criterion rejects, an empty list, or an ambiguous name.
 
     Example:
         >>> from ssp_lp import MCMP, SSP
@@ -89,7 +87,7 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
             names = [*(f"argument {k}" for k in range(1, len(given) + 1)), *named]
             raise ModelError(f"nothing to sweep over: {names[place]} is empty")
     labels, made, problems = [*range(len(given)), *named], dict[Any, SSP](), list[Problem]()
-    of: Any = 0 if given else "model"  # whose argument is the model
+    of: Any = 0 if given else "model"  # key of the argument that is the model
     models = swept[labels.index(of)] if of in labels else ()
     known = {name for model in models if isinstance(model, SSP) for name in model.parameters}
     if both := known & {*signature(criterion).parameters} & named.keys():
@@ -112,36 +110,36 @@ class Answers(Report):
 
     problems: tuple[Problem, ...]
     answers: tuple[Answer, ...]
-    seconds: float  # wall clock, for all
+    seconds: float  # wall clock, in total
 
     def __len__(self) -> int:
-        """Number of problems."""
+        """Return the number of problems."""
         return len(self.problems)
 
     def __iter__(self) -> Iterator[Answer]:
-        """The answers in the order of the problems."""
+        """Yield the answers in the order of the problems."""
         return iter(self.answers)
 
     def __getitem__(self, place: int) -> Answer:
-        """The answer to a problem by its place."""
+        """Return the answer to a problem by its place."""
         return self.answers[place]
 
     @property
     def errors(self) -> Mapping[int, SSPError]:
-        """The answers that are errors, by their places."""
+        """Answers that are errors, by their places."""
         return {k: answer for k, answer in enumerate(self) if isinstance(answer, SSPError)}
 
     @property
     def objectives(self) -> FloatArray:
-        """The answers' optimal values, nan where there is an error, [problems]."""
+        """Optimal values of the answers, nan where there is an error, [problems]."""
         return np.array([getattr(answer, "objective", np.nan) for answer in self])
 
     def tables(self) -> list[Table]:
-        """One table with a row for each problem; text shows the first ones, and the errors.
+        """Return a table with a row for each problem; its text shows the first rows and the errors.
 
-        Columns: criterion, whatever else was asked differently (models by their numbers), then
-        objective, bound (certified), gap, failure (as limited), price, seconds, status or the kind
-        of error, and the error in words.
+        Columns: criterion, each argument that differs (models by their numbers), then objective,
+        bound (certified), gap, failure (as limited), price, seconds, the status or the class of the
+        error, and the error's message.
         """
         asked = self._asked()
         stated = zip(*asked.values(), strict=True)
@@ -153,13 +151,13 @@ class Answers(Report):
         return [Table(rows, (*asked, *_FACTS), "", notes, shown=shown, hidden=_FRAME_ONLY)]
 
     def __repr__(self) -> str:
-        """One line: how many problems there are, and how many have no solution."""
+        """Return a line with the number of problems and of errors."""
         failed = f", {len(self.errors):,} of them errors" if self.errors else ""
         return f"Answers({len(self):,}{failed}, {self.seconds:.3g} s)"
 
     def _asked(self) -> dict[str, list[Any]]:
-        """What was asked in each answer's problem, by name, as far as it is not the same in all."""
-        numbers: dict[int, int] = {}  # id of a model -> how many came before it
+        """Return the arguments that differ between the answers' problems, by name."""
+        numbers: dict[int, int] = {}  # id of a model -> number of models before it
         rows: list[dict[str, Any]] = []
         for problem in self.problems:
             stated = vars(problem) | as_stated(problem)
@@ -180,12 +178,12 @@ _FRAME_ONLY = "bound", "gap", "seconds", "error"  # columns that are not printed
 
 
 def _plain(value: Any) -> Any:
-    """A value of an answer's problem for a table."""
+    """Return an argument as a table shows it."""
     return value if value is None or isinstance(value, str) or is_number(value) else in_short(value)
 
 
 def _facts_of(answer: Answer) -> tuple[Any, ...]:
-    """Facts of an answer, as ``_FACTS`` names them; nothing is worked out for it."""
+    """Return the facts of an answer, in the order of ``_FACTS``, without evaluating its policy."""
     if isinstance(answer, SSPError):
         return *[None] * 6, type(answer).__name__, str(answer)
     bound = answer.lower_bound if answer.upper_bound is None else answer.upper_bound
@@ -208,31 +206,32 @@ def solve_many(
 ) -> Answers:
     """Solve many problems side by side, each as ``solve`` does.
 
-    A process of one's own that dies, such as for want of memory, is replaced, and what it may have
-    worked on is asked again, alone. Ctrl-C ends the call at once with what is there.
+    A process of the built-in pool that dies, such as for lack of memory, is replaced; each problem
+    that it may have worked on is sent once more, alone. Ctrl-C ends the call at once with the
+    answers so far.
 
     Args:
         problems: formulations such as ``MCMP(...)``, of any kinds and on any models, such as those
             of :func:`sweep`.
-        method: as of ``solve``, for all.
-        executor: anything with the interface of ``concurrent.futures.Executor``: a pool of threads
-            or processes, mpi4py's, Dask's. It is not shut down. None: processes of joblib's, each
-            with one thread.
-        workers: processes of that pool; None: one for each core.
-        tolerance: relative gap to reach, for each.
-        time_limit: seconds for each, as of ``solve``.
-        total_time_limit: seconds for all. What is being solved then ends with its best policy so
-            far; what was not begun has an OutOfTimeError in its place.
-        progress: called with (place, answer) as each answer comes, in whatever order.
-        verbose: show how many are answered (``progress_shown``).
+        method: as in ``solve``, for all problems.
+        executor: any object with the interface of ``concurrent.futures.Executor``: a pool of
+            threads or processes, mpi4py's, Dask's. It is not shut down. None: processes of joblib,
+            one thread each.
+        workers: processes of the built-in pool; None: one for each core.
+        tolerance: relative gap to reach, for each problem.
+        time_limit: seconds for each problem, as in ``solve``.
+        total_time_limit: seconds for all problems. Then problems in progress end with their best
+            policy so far; those not begun have an OutOfTimeError as their answer.
+        progress: called with (place, answer) as each answer arrives, in any order.
+        verbose: show the number of answers so far (``progress_shown``).
 
     Returns:
-        The answers in the order of the problems: a solution each, or an ``SSPError``: infeasible,
-        out of time, stated wrongly, or a SolverError about what else happened.
+        The answers in the order of the problems: a solution or an ``SSPError`` each (infeasible,
+        out of time, stated wrongly, or a SolverError for any other failure).
 
     Raises:
-        ModelError: a wrong argument, or something that is no problem.
-        SolverError: no process of the pool could be started.
+        ModelError: a wrong argument, or an entry that is not a problem.
+        SolverError: no process of the built-in pool could be started.
 
     Example:
         >>> from concurrent.futures import ThreadPoolExecutor
@@ -253,7 +252,7 @@ def solve_many(
     options_of(parse_method(method), tolerance, began, time_limit, cast("Any", progress))
     left = deadline_of(total_time_limit, 0.0, "total_time_limit")
     if executor is not None and workers is not None:
-        raise ModelError("workers is for a pool of this call's own: leave out one of both")
+        raise ModelError("workers is the size of the built-in pool: leave out workers or executor")
     if workers is not None:
         check_whole("workers", workers)
     from joblib import cpu_count
@@ -273,7 +272,7 @@ def _answers_to(
     workers: int,
     progress: Callable[[int, Answer], None] | None,
 ) -> tuple[Answer, ...]:
-    """The answers of ``solve_many``, in order.
+    """Return the answers of ``solve_many``, in order.
 
     Raises:
         ModelError: a model that cannot be pickled.
@@ -284,7 +283,7 @@ def _answers_to(
         return ()
 
     def come(place: int, answer: Answer) -> None:
-        """Keep an answer, and tell of it."""
+        """Store an answer, and report it."""
         answers[place], done = answer, len(answers) + 1
         _LOG.debug("%d of %d", done, len(asked), extra={"share": done / len(asked)})
         if progress is not None:
@@ -314,7 +313,7 @@ def _answers_to(
 
 
 class _Order(NamedTuple):
-    """How each answer is to be found: the options of ``solve``, and when all must be there."""
+    """Conditions of each answer: the options of ``solve``, and the end of the total time."""
 
     method: Method | str | None
     tolerance: float
@@ -323,7 +322,7 @@ class _Order(NamedTuple):
 
 
 def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
-    """A worker's answer to a problem, packed; None: it cannot see the shipment's file."""
+    """Return a worker's answer to a problem, packed; None if it cannot read the shipment's file."""
     try:
         cargo = unloaded(shipment)
     except OSError:
@@ -338,24 +337,24 @@ def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
         return cargo.pack(answer)
     except SSPError as error:
         return cargo.pack(error)
-    except Exception as error:  # one problem's, from which the others do not suffer
+    except Exception as error:  # of one problem; the others go on
         return cargo.pack(SolverError(f"it ended in {type(error).__name__}: {error}"))
 
 
 class _Crew:
-    """Who answers: the executor that was given, or processes of joblib's, new ones if any dies."""
+    """Workers: the executor that was given, or processes of joblib, replaced when one dies."""
 
     def __init__(
         self, given: Executor | None, count: int, cargo: Cargo, shipment: Shipment, order: _Order
     ) -> None:
-        """Begin to start processes, where no executor is given.
+        """Start the processes if no executor is given, without waiting for them.
 
         Args:
             given: the executor.
-            count: of the processes.
-            cargo: what unpacks the answers.
+            count: number of processes.
+            cargo: unpacks the answers.
             shipment: the models.
-            order: how problems are solved, and for how long.
+            order: options and time limit of the problems.
         """
         self._is_own, self._is_broken, self._count = given is None, False, count
         self._room = _AHEAD * count if given is None else inf
@@ -363,17 +362,17 @@ class _Crew:
         self._cargo, self._shipment, self._order = cargo, shipment, order
         self._packed: Mapping[int, bytes] = {}
         self._waiting, self._suspects = deque[int](), deque[int]()
-        self._deaths = Counter[int]()  # of workers that had a problem in hand, by its place
-        self._blind: set[int] = set()  # places of problems for workers that do not see the file
+        self._deaths = Counter[int]()  # of workers that had the problem in hand, by its place
+        self._blind: set[int] = set()  # places of problems for workers that cannot read the file
         self._flying: dict[Future[bytes | None], int] = {}
         self._back: SimpleQueue[Future[bytes | None]] = SimpleQueue()
 
     def __enter__(self) -> _Crew:
-        """The crew is there already."""
+        """Return the crew itself."""
         return self
 
     def __exit__(self, *raised: object) -> None:
-        """Send home who is one's own; who is not keeps no models."""
+        """Shut down the built-in pool; free the models that threads of another executor hold."""
         unloaded.cache_clear()  # of threads
         if raised[0] is not None:
             self._end()
@@ -381,21 +380,21 @@ class _Crew:
             self._executor.shutdown()
 
     def __repr__(self) -> str:
-        """Who they are."""
+        """Return the number of processes, or the class of the executor."""
         return f"{self._count} processes" if self._is_own else type(self._executor).__name__
 
     def collect(self, packed: Mapping[int, bytes], come: Callable[[int, Answer], None]) -> SSPError:
-        """Give out the problems and hand on what comes back, until all have an answer, or an end.
+        """Send out the problems and report answers until all have arrived or the call must end.
 
         Args:
             packed: place -> problem.
             come: called with each place and its answer.
 
         Returns:
-            The answer to those that have none.
+            The answer for the problems that have none.
 
         Raises:
-            SolverError: no process could be started, or the executor takes nothing.
+            SolverError: no process could be started, or the executor accepts no problem.
         """
         self._packed, missing = packed, len(packed)
         self._waiting.extend(packed)
@@ -422,7 +421,7 @@ class _Crew:
         return OutOfTimeError(_TOO_LATE)
 
     def _end(self) -> None:
-        """End the crew's processes at once; who is not one's own goes on with what is in hand."""
+        """End the built-in processes at once; another executor finishes what it has begun."""
         for future in self._flying:
             future.cancel()
         if self._is_own:
@@ -430,7 +429,7 @@ class _Crew:
             self._executor.shutdown(kill_workers=True)
 
     def _give_out(self) -> None:
-        """Give the crew what it has room for; what a worker may have died of goes by itself."""
+        """Send the crew as many problems as it has room for; suspects of a crash are sent alone."""
         flying = self._flying
         while not self._is_broken:
             alone = bool(self._suspects) or any(self._deaths[place] for place in flying.values())
@@ -450,7 +449,7 @@ class _Crew:
             future.add_done_callback(self._back.put)
 
     def _brought(self, place: int, future: Future[bytes | None]) -> Answer | None:
-        """The answer that came back from the crew; None: the problem has to be given out again."""
+        """Return the answer that came back from the crew; None: send the problem again."""
         error = CancelledError() if future.cancelled() else future.exception()
         if isinstance(error, BrokenExecutor):
             self._is_broken = True
@@ -461,19 +460,19 @@ class _Crew:
                 return SolverError(_DIED)
             self._suspects.append(place)
             return None
-        if error is not None:  # the executor's, or of what it could not send
+        if error is not None:  # raised by the executor, or while sending
             return SolverError(f"the executor raised {type(error).__name__}: {error}")
         if (packed := future.result()) is not None:
             answer: Answer = self._cargo.unpack(packed)
             return answer
         if place in self._blind:
-            return SolverError("its worker could not read the models that came with it")
+            return SolverError("its worker could not read the models that were sent with it")
         self._blind.add(place)
         self._waiting.appendleft(place)
         return None
 
     def _starts_anew(self) -> bool:
-        """Replace processes of which one died; whether they start."""
+        """Replace the processes after one died; return whether the new ones start."""
         self._executor = self._new_pool()
         try:
             self._executor.submit(int).result()
@@ -484,15 +483,15 @@ class _Crew:
 
     @property
     def _error(self) -> SolverError:
-        """The answer to what is left where the crew is broken for good."""
+        """Answer for the remaining problems if the crew cannot be repaired."""
         if not self._is_own:
-            return SolverError("the executor broke or was shut down: give a new one, or none")
+            return SolverError("the executor broke or was shut down: pass a new one, or none")
         return SolverError(
-            "processes die while they start, perhaps for want of memory: take fewer workers"
+            "processes die while they start, perhaps for lack of memory: use fewer workers"
         )
 
     def _new_pool(self) -> Any:
-        """Processes that answer, each with one thread for compiled loops."""
+        """Return the built-in pool, with one thread for compiled loops in each process."""
         from joblib.externals.loky import ProcessPoolExecutor
 
         alone = {"NUMBA_NUM_THREADS": "1"}
@@ -500,6 +499,6 @@ class _Crew:
 
 
 def _prepare_worker() -> None:
-    """Have a process of the crew leave Ctrl-C to its caller, and what it has loaded alone."""
+    """Make a worker of the crew ignore Ctrl-C and keep loaded objects out of garbage collection."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    gc.freeze()  # joblib's processes look through all objects once a second
+    gc.freeze()  # joblib's processes collect garbage once a second

@@ -1,4 +1,4 @@
-"""Array aliases, read-only arrays, and every tolerance of the library with its reason."""
+"""Array type aliases, read-only arrays, and the shared tolerances with their reasons."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ BoolArray = npt.NDArray[np.bool_]
 MACHINE_EPSILON: Final = float(np.finfo(np.float64).eps)
 
 PROBABILITY_SUM: Final = 1e-9
-"""Sums of user probabilities this close to one are rounding and divided out; others are errors."""
+"""Largest deviation from 1 of a sum of probabilities that is divided out; beyond it, an error."""
 
 SINGLE_PRECISION_SUM: Final = 1e-5
-"""The same where a user says that the probabilities are to be normalised: float32 or few digits."""
+"""As ``PROBABILITY_TOLERANCE``, where normalisation is requested: float32 or few digits."""
 
 MAXIMISER: Final = 1e-12
 """Relative distance to the best goal probability within which an action still counts as maximising.
@@ -30,20 +30,20 @@ the least-failure cost by 4e-4.
 """
 
 LEAST_RISE: Final = 1e-300
-"""Rise of a probability below which sweeps that round down would come to an end."""
+"""Rise of a probability below which sweeps that round down would stop."""
 
 FAILURE_FLOOR: Final = 1e-15
-"""Share of a state's greatest goal probability below which two failure probabilities are alike.
+"""Difference of two failure probabilities that counts as none, by the best goal probability.
 
-Far from any hazard least failures are 1e-100 or 1e-233: whoever chases gains relative to these does
-not end, and no episode would ever show the difference. Rare goals keep their digits, as it is a
-share of them, and so do probabilities in components that are solved without subtractions. Gains
-are sought down to a tenth of it, and where cost decides among policies that fail alike a step may
-lose a hundred times as much: so far apart which pairs are alike does not hang on rounding.
+Far from any hazard least failures are 1e-100 or 1e-233: a search for gains relative to these would
+not end, and no episode would show the difference. As a share of the goal probability it keeps all
+digits of rare goals, and of probabilities in components that are solved without subtractions.
+Gains are sought down to a tenth of it; where cost decides among policies with equal failure, a step
+may lose a hundred times as much. With this margin, rounding does not decide which pairs are equal.
 """
 
 LEAST_BUDGET: Final = 1e-10
-"""A budget this close below the least failure counts as equal to it (rounding of sums)."""
+"""Distance below the least failure within which a budget counts as equal to it (rounding)."""
 
 IMPROVEMENT: Final = 1e-13
 """Relative gain below which policy iteration keeps an action: the accuracy of a refined solve."""
@@ -51,21 +51,21 @@ IMPROVEMENT: Final = 1e-13
 QUANTILE: Final = 1e-12
 """Relative slack with which a mass reaches a quantile's level.
 
-The masses of many total costs add up to 1e-15 .. 1e-13 of what they are: an atom that ends exactly
-at the level must not be missed, for the next one may lie anywhere.
+The masses of many total costs sum to within 1e-15 .. 1e-13 of their true sum: an atom that ends
+exactly at the level must be found, since the next one may lie anywhere.
 """
 
 SAME_TOTAL: Final = 5e-13
-"""Relative distance at which a total cost and a bound on it are one, summed in two ways.
+"""Relative difference within which a total cost equals its bound, if both are sums of costs.
 
-Sums of some thousand costs are off by 1e-16 to 1e-13 of themselves; a lattice of so many layers
-would fill no memory.
+Sums of some thousand costs have relative errors of 1e-16 to 1e-13; a lattice with so many layers
+does not fit into memory.
 """
 
 BELOW_RATIO: Final = 1.0 - 2.5e-10
-"""Share of a ratio at which it is proved once more, where the budget may be slack.
+"""Share of a ratio at which it is proved once more if the budget may be slack.
 
-There it is strictly best to fail, so that no rounding enters (``FailureRow.lower_bound``).
+At that ratio failing is strictly best, so that no rounding enters (``FailureRow.lower_bound``).
 """
 
 RELATIVE_GAP: Final = 1e-9
@@ -74,8 +74,8 @@ RELATIVE_GAP: Final = 1e-9
 RESIDUAL: Final = 1e-6
 """Largest relative residual with which an LP backend's answer is accepted.
 
-It is a price to start from, not the answer: policies are priced at it and measured exactly, and the
-program's optimum must agree with theirs. Interior points after crossover leave up to 2e-7 here.
+The answer only gives a price to start from: policies are priced at it and measured exactly, and
+the program's optimum must agree with them. Interior points after crossover leave up to 2e-7 here.
 """
 
 
@@ -87,40 +87,40 @@ def read_only(array: npt.ArrayLike, dtype: npt.DTypeLike | None = None) -> npt.N
 
 
 class ReadOnlyCopies:
-    """Mix-in of values whose arrays stay read-only in copies and pickles; numpy's own do not."""
+    """Mix-in of values whose arrays stay read-only in copies and pickles, unlike plain arrays."""
 
     def keep_read_only(self, *names: str, dtype: npt.DTypeLike | None = None) -> None:
-        """Make fields read-only arrays, where they are not None, while the value is made."""
+        """Make fields read-only arrays, unless they are None, during construction."""
         for name in names:
             if (array := vars(self)[name]) is not None:
                 object.__setattr__(self, name, read_only(array, dtype))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over what a copy is made of."""
+        """Restore the fields of a copy, with read-only arrays."""
         kept = {k: read_only(v) if isinstance(v, np.ndarray) else v for k, v in state.items()}
         vars(self).update(kept)
 
 
 def least_integer_type(most: int) -> npt.DTypeLike:
-    """The smallest signed integers that hold -2 .. most."""
+    """Return the smallest signed integer type that holds -2 .. most."""
     return np.min_scalar_type(-max(most, 2) - 1)
 
 
 def narrow(offsets: IntArray) -> IntArray:
-    """An array of offsets in 32 bits where they fit, to match scipy's columns."""
+    """Return an array of offsets in 32 bits where they fit, to match scipy's columns."""
     fits = int(offsets[-1]) <= np.iinfo(np.int32).max
     return offsets.astype(np.int32, copy=False) if fits else offsets
 
 
 def unsigned(indices: IntArray) -> npt.NDArray[Any]:
-    """An array of non-negative whole numbers viewed as unsigned ones."""
+    """Return an array of non-negative whole numbers viewed as unsigned ones."""
     return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)
 
 
 def csr_of(
     data: FloatArray | BoolArray, indices: IntArray, indptr: IntArray, shape: tuple[int, int]
 ) -> sp.csr_array:
-    """Scipy's sparse matrix of three arrays that fit, without scipy's checks of them."""
+    """Return scipy's sparse matrix of three consistent arrays, without scipy's checks of them."""
     matrix = copy(_NO_ROWS)
     vars(matrix).update(data=data, indices=indices, indptr=indptr, _shape=shape)
     return matrix
@@ -138,10 +138,10 @@ def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.i
 
 
 def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.int64], IntArray]:
-    """The entries ``offsets[k] : offsets[k + 1]`` of some segments, one after the other.
+    """Return the entries ``offsets[k] : offsets[k + 1]`` of some segments, one after the other.
 
     Returns:
-        Them, [entries], and how many each segment has, [segments].
+        The entries, [entries], and the number of each segment's entries, [segments].
     """
     begins = offsets[segments]
     lengths = offsets[segments + 1] - begins
@@ -149,27 +149,27 @@ def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.in
 
 
 def offsets_of(lengths: IntArray) -> IntArray:
-    """An array of offsets: where each of several segments in a row begins, and the end."""
+    """Return an array of offsets: the start of each of several adjacent segments, and the end."""
     offsets = np.zeros(len(lengths) + 1, dtype=np.int64)
     np.add.accumulate(lengths, out=offsets[1:])
     return offsets
 
 
 def sorted_unique(values: IntArray) -> IntArray:
-    """The distinct non-negative entries of an array in increasing order, by sorting."""
+    """Return the distinct non-negative entries of an array in increasing order, by sorting."""
     ordered = np.sort(values)
     return ordered[run_starts(ordered)]
 
 
 def run_starts(values: IntArray) -> BoolArray:
-    """Where each run of equal entries of an array begins, as a mask."""
+    """Return a mask of the entries of an array at which a run of equal entries begins."""
     begins = np.ones(values.size, dtype=np.bool_)
     np.not_equal(values[1:], values[:-1], out=begins[1:])
     return begins
 
 
 def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
-    """The segment ``offsets[k] : offsets[k + 1]`` that each entry lies in, [entries]."""
+    """Return the segment ``offsets[k] : offsets[k + 1]`` that each entry lies in, [entries]."""
     return np.arange(len(offsets) - 1, dtype=np.int32).repeat(offsets[1:] - offsets[:-1])
 
 
@@ -180,8 +180,8 @@ def drawn_in_segments(
 
     Args:
         sums: running sums of the array's entries, after a leading 0, [entries + 1].
-        begins: where each segment begins, [segments].
-        ends: where it ends, [segments].
+        begins: first entry of each segment, [segments].
+        ends: entry after the last one of each segment, [segments].
         rng: draws a number for each segment.
     """
     level = sums[begins] + rng.random(len(begins)) * (sums[ends] - sums[begins])
@@ -198,7 +198,7 @@ def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
 
 
 def segment_minima(values: FloatArray, offsets: IntArray) -> FloatArray:
-    """Minimum of ``values`` over the segments ``offsets[k] : offsets[k + 1]``; empty: infinity."""
+    """Return the minimum of each segment ``offsets[k] : offsets[k + 1]``; infinite if empty."""
     result = np.full(len(offsets) - 1, np.inf)
     filled = (offsets[1:] > offsets[:-1]).nonzero()[0]
     if filled.size:
@@ -207,14 +207,14 @@ def segment_minima(values: FloatArray, offsets: IntArray) -> FloatArray:
 
 
 def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) -> IntArray:
-    """Position, within each non-empty segment in turn, of the first value equal to its minimum."""
+    """Return the position of the first minimal value, counted within each non-empty segment."""
     segment = segment_ids(offsets)
     attained = np.flatnonzero(values <= minima[segment])
     return attained[np.flatnonzero(np.diff(segment[attained], prepend=-1))]
 
 
 def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """A weighted sum of an array's columns, without waking the threads of a matrix product.
+    """Return a weighted sum of an array's columns, without the threads of a matrix product.
 
     Args:
         columns: [rows, columns]; few columns.
@@ -228,7 +228,7 @@ def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def weighted_rounding(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """Rounding of weighted sums, relative to their terms' sizes; 0: a row's sum is exact, [rows].
+    """Return the rounding error of weighted sums relative to their terms; 0: exact, [rows].
 
     Args:
         columns: [rows, columns]; few columns.
@@ -245,7 +245,7 @@ def weighted_rounding(columns: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def expected(start: FloatArray, values: FloatArray) -> npt.NDArray[Any]:
-    """``start @ values`` of arrays over states, for a start that is mostly zeros.
+    """Return ``start @ values`` of arrays over states, fast for a start that is mostly zeros.
 
     Args:
         start: distribution, [states].
@@ -256,17 +256,17 @@ def expected(start: FloatArray, values: FloatArray) -> npt.NDArray[Any]:
 
 
 CHUNK = 1 << 22
-"""Entries that are worked on at a time: scratch arrays of some 32 MB."""
+"""Number of entries processed at a time: scratch arrays of some 32 MB."""
 
 
 def chunks(length: int) -> Iterator[slice]:
-    """Slices of at most ``CHUNK`` entries that cover ``0 .. length - 1`` in turn."""
+    """Yield the slices of at most ``CHUNK`` entries that cover ``0 .. length - 1`` in turn."""
     for begin in range(0, length, CHUNK):
         yield slice(begin, min(begin + CHUNK, length))
 
 
 def segment_chunks(offsets: IntArray) -> Iterator[slice]:
-    """Slices of whole segments with at most ``CHUNK`` entries together, or of one longer segment.
+    """Yield slices of whole segments of at most ``CHUNK`` entries in all, or of one longer segment.
 
     Args:
         offsets: the entries of segment k are ``offsets[k] : offsets[k + 1]``, [segments + 1].

@@ -1,8 +1,8 @@
-"""What goes between processes: problems and answers, in which models are named, not repeated.
+"""Problems and answers sent between processes, in which models are named, not repeated.
 
-A model goes once, as a file that any process maps into its memory. In what is pickled besides its
-place there stands for it, so that problems and answers are small, and an answer that comes back is
-on the caller's own model.
+Each model is sent once, as a file that any process maps into memory. In all other pickles its place
+in that file stands for it: problems and answers are small, and answers refer to the caller's own
+model.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.problem import Problem
 
-_ALIGNED = 64  # bytes: arrays of a file begin at multiples, as compiled loops want them
+_ALIGNED = 64  # bytes: arrays in a file begin at multiples, for the compiled loops
 
 
 def models_of(problems: Iterable[Problem]) -> list[SSP]:
-    """The distinct models of all problems to be answered, what a product is made of before it."""
+    """Return the distinct models of the problems, each after the models it is made of."""
     models: dict[int, SSP] = {}
     for problem in problems:
         chain: list[SSP] = []
@@ -41,16 +41,16 @@ def models_of(problems: Iterable[Problem]) -> list[SSP]:
 
 
 class _Pickler(pickle.Pickler):
-    """A pickler that leaves out models of the answers' problems: their places stand for them."""
+    """A pickler that replaces models of the answers' problems by their places."""
 
     places: Mapping[int, int]  # id of a model -> place
 
     def persistent_id(self, thing: Any) -> int | None:
-        """Place of a model in the file; None for all else."""
+        """Return the place of a model in the file; None for any other object."""
         return self.places.get(id(thing)) if isinstance(thing, SSP) else None
 
     def reducer_override(self, thing: Any) -> Any:
-        """Send functions and classes of a script themselves, one cost for all outcomes once."""
+        """Send functions and classes of a script by value, and a cost of all outcomes only once."""
         if isinstance(thing, (FunctionType, type)):  # lambdas and locals cannot be imported either
             if thing.__module__ == "__main__" or "<l" in thing.__qualname__:
                 return loads, (dumps(thing),)
@@ -66,24 +66,24 @@ class _Unpickler(pickle.Unpickler):
 
 
 class Cargo:
-    """Problems and answers on their way, without the models, which lie in a file by their places.
+    """Problems and answers in transit, without the models, which a file holds by their places.
 
-    Of a model the file holds the arrays as they are, aligned, for any process to map; then, at its
-    place, its pickle without them and where they begin and end.
+    For each model the file holds its arrays as they are, aligned, for any process to map; then, at
+    the model's place, its pickle without the arrays and the offsets of these.
     """
 
     def __init__(self, content: bytes | memoryview = b"") -> None:
-        """Know no model yet.
+        """Begin without models.
 
         Args:
-            content: of the file, where it was written by another process.
+            content: of the file, if another process wrote it.
         """
         self._content = memoryview(content)
         self._models: dict[int, SSP] = {}  # place -> model
         self._places: dict[int, int] = {}  # id of a model -> place
 
     def load(self, models: Iterable[SSP], file: BinaryIO) -> None:
-        """Write models to a file for other processes, those first that others are made of.
+        """Write models to a file for other processes, after the models that they are made of.
 
         Raises:
             ModelError: a model cannot be pickled.
@@ -106,7 +106,7 @@ class Cargo:
         """Pickle a problem or an answer without its models; arrays go to ``keep``, if given.
 
         Raises:
-            ModelError: it cannot be pickled.
+            ModelError: the problem or answer cannot be pickled.
         """
         stream = BytesIO()
         pickler = _Pickler(stream, protocol=5, buffer_callback=keep)
@@ -118,17 +118,17 @@ class Cargo:
         return stream.getvalue()
 
     def unpack(self, packed: bytes, buffers: Iterable[memoryview] = ()) -> Any:
-        """The problem or answer that was packed, on the models that are known here."""
+        """Return the problem or answer that was packed, on the models that are known here."""
         unpickler = _Unpickler(BytesIO(packed), buffers=buffers)
         unpickler.persistent_load = self._model_at
         return unpickler.load()
 
     def know(self, place: int, model: SSP) -> None:
-        """Know the cargo's model at a place; the first one that was found there stays."""
+        """Register the cargo's model at a place, unless there is one."""
         self._places[id(self._models.setdefault(place, model))] = place
 
     def _model_at(self, place: int) -> SSP:
-        """A cargo's model, read from the file when it is first asked for."""
+        """Return a cargo's model, read from the file on first use."""
         if place not in self._models:
             stream, spans = pickle.loads(self._content[place:])  # noqa: S301 (the caller's process)
             buffers = [self._content[begin:end] for begin, end in spans]
@@ -138,7 +138,7 @@ class Cargo:
 
 @dataclass(frozen=True)
 class Shipment:
-    """A file of models for the answers; where it cannot be seen, what is in it comes along."""
+    """A file of models for the answers; its content is sent along where it cannot be read."""
 
     path: str
     content: bytes | None = field(default=None, compare=False, repr=False)
@@ -146,10 +146,10 @@ class Shipment:
 
 @lru_cache(maxsize=1)
 def unloaded(shipment: Shipment) -> Cargo:
-    """A shipment's cargo as this process knows it: a worker keeps the models of one call's answers.
+    """Return a shipment's cargo in this process, cached: a worker keeps the models of one call.
 
     Raises:
-        OSError: the file cannot be seen from here.
+        OSError: the file cannot be read from here.
     """
     if shipment.content is not None:
         return Cargo(shipment.content)

@@ -1,4 +1,4 @@
-"""The error tree, one class per remedy, all under :class:`SSPError`; and checks of arguments."""
+"""The error tree, one class per remedy, all under :class:`SSPError`, and checks of arguments."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from typing import Any, NamedTuple, TypeGuard, cast
 import numpy as np
 
 _LONGEST = 60  # characters of a value in an error
-_LISTED = 4  # entries of a table there
-_NAMED = 8  # names there, where none is near
-_DIGITS = 1_024 // 3  # of a number in an error: of the greatest float, some more
+_LISTED = 4  # entries of a table in an error
+_NAMED = 8  # names listed in an error if none is similar
+_DIGITS = 1_024 // 3  # of a number in an error: a few more than the greatest float has
 _MOST_COUNTED = 2**63 - 1
-_LOOKED_AT = 20_000  # names that are compared: more would take longer than a hint is worth
+_LOOKED_AT = 20_000  # names that are compared, so that a hint is found quickly
 
 
 class Argument(NamedTuple):
-    """An argument that an error names: as text it is what Python code says.
+    """An argument named in an error; its text is how Python code writes it.
 
-    The command line names its own option in its place.
+    The command line shows its own option instead.
     """
 
     name: str
-    value: object = ...  # what is to be given; ...: the message says so itself
+    value: object = ...  # value to give; ...: the message has it already
 
     def __str__(self) -> str:
-        """``discount``, or with a value ``failure_budget=None``."""
+        """Return ``discount``, or with a value ``failure_budget=None``."""
         return self.name if self.value is ... else f"{self.name}={self.value!r}"
 
 
 class SSPError(Exception):
     """Root of every error that this library raises on purpose.
 
-    Its message is given in parts where it names an :class:`Argument`.
+    Its message has several parts if it names an :class:`Argument`.
     """
 
-    is_of_argument = False  # of a wrong type: whoever passed it on names its own argument instead
+    is_of_argument = False  # wrong type of an argument: the caller names its own argument instead
 
     def __str__(self) -> str:
-        """The message, arguments as Python code has them."""
+        """Return the message, with arguments as Python code writes them."""
         return "".join(map(str, self.args))
 
     def __reduce__(self) -> tuple[Callable[..., SSPError], tuple[object, ...], dict[str, object]]:
-        """Pickled by its message and what it carries, whatever its constructor asks for."""
+        """Pickle the message and the attributes, whatever the arguments of the constructor are."""
         return type(self).__new__, (type(self), *self.args), vars(self)
 
 
@@ -65,18 +65,18 @@ class ModelWarning(UserWarning):
 
 
 class InfeasibleError(SSPError):
-    """No policy respects the failure budget and the limits.
+    """No policy satisfies the failure budget and the limits.
 
     Attributes:
-        failure_budget: the budget that was asked for (``None``: none was).
-        least_failure: the least failure probability that a known policy attains; where the graph
-            alone tells that the problem has no answer, it is worked out when it is read.
-        least_failure_interval: what the least failure probability of all policies is proved to lie
-            between, the second number being ``least_failure``; 0 first where nothing is proved.
+        failure_budget: the failure budget of the problem, ``None`` if it has none.
+        least_failure: the least failure probability that a known policy attains; computed on first
+            use if the graph alone shows that the problem is infeasible.
+        least_failure_interval: certified bounds of the least failure probability of all policies;
+            the second is ``least_failure``, the first is 0 if nothing is proved.
         least_discounted_failure: the least discounted failure, ``None`` in the exact setting. The
-            surrogate can be infeasible where the real problem is not (paper, Theorem t2-2).
+            surrogate can be infeasible where the problem itself is not (paper, Theorem t2-2).
         conflicting_rows: names of the fewest rows found that contradict each other: limits, and
-            "failure" for the budget; empty where no rows were looked for.
+            "failure" for the budget; empty if no such rows were sought.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class InfeasibleError(SSPError):
 
     @property
     def least_failure(self) -> float:
-        """The least failure probability of any policy, which the error carries."""
+        """Least failure probability of any known policy."""
         least = self._least_failure
         self._least_failure = least() if callable(least) else least
         return self._least_failure
@@ -108,17 +108,17 @@ class InfeasibleError(SSPError):
         return min(self._least_failure_bound, self.least_failure), self.least_failure
 
     def __reduce__(self) -> tuple[Callable[..., SSPError], tuple[object, ...], dict[str, object]]:
-        """Pickled with its numbers."""
+        """Pickle the message and the numbers."""
         self._least_failure = self.least_failure
         return super().__reduce__()
 
 
 class SolverError(SSPError, RuntimeError):
-    """A method did not deliver an answer that passes its check; says what was tried."""
+    """A method gave no answer that passes its check; the message says what was tried."""
 
 
 class OutOfTimeError(SolverError):
-    """The time limit passed before any policy that keeps to the limits was found."""
+    """The time limit passed before a policy that satisfies all limits was found."""
 
 
 class MissingDependencyError(SSPError, ImportError):
@@ -154,12 +154,12 @@ def optional_module(name: str, extra: str) -> ModuleType:
 
 
 def wrong_argument(name: str, wanted: str, given: object, hint: str = "") -> ModelError:
-    """The error for an argument of a wrong value: what it must be, what it is, and a hint."""
+    """Return the error for a wrong argument: the requirement, the value, and a hint."""
     return ModelError(Argument(name), f" must {wanted}, not {in_short(given)}{hint}")
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value is a number that a float can stand for: Python's, numpy's or a fraction."""
+    """Return whether a value is a number that fits a float: of Python, of numpy or a fraction."""
     try:
         return isinstance(value, Real) and float(value) is not None
     except OverflowError:
@@ -181,7 +181,7 @@ def check_whole(name: str, value: object, least: int = 1, most: int = _MOST_COUN
 
 
 def check_flag(name: str, value: object) -> None:
-    """Raise :class:`ModelError`, naming the argument, unless it is a truth value, or numpy's."""
+    """Raise :class:`ModelError`, naming the argument, unless it is a bool, of numpy or not."""
     if not isinstance(value, (bool, np.bool_)):
         raise wrong_argument(name, "be True or False", value)
 
@@ -206,21 +206,21 @@ _MEANT = {
     "horizon": "steps max_steps n_steps",
     "verbose": "verbosity log",
 }
-"""Names of arguments, and the words that other libraries and people have for them."""
+"""Names of arguments, each with the words that other libraries use for it."""
 
 
 def meant_argument(word: str, own: Collection[str]) -> str | None:
-    """Return the argument of a function that is probably meant by an unknown one; None: none is."""
+    """Return the argument of a function that an unknown name probably means, or None."""
     meant = next((one for one in own if word in _MEANT.get(one, "").split()), None)
     return cast("str | None", nearest_name(word, own)) if meant is None else meant
 
 
 form_of = cache(signature)
-"""The signature of a function, which takes longer to find than many calls take."""
+"""Cached signature of a function: finding it takes longer than many calls do."""
 
 
 def check_call(name: str, form: Signature, given: Sequence[object], named: Collection[str]) -> None:
-    """Check that a function is given arguments that it has, each once, and all that it needs.
+    """Check that the arguments of a call exist, are given once, and are complete.
 
     Args:
         name: of the function.
@@ -229,7 +229,7 @@ def check_call(name: str, form: Signature, given: Sequence[object], named: Colle
         named: names of the other arguments.
 
     Raises:
-        ModelError: naming the argument, and the one that was meant or how to write the call.
+        ModelError: naming the wrong argument, and the likely one or the correct call.
     """
     parts = form.parameters.values()
     own = [part.name for part in parts if part.name not in ("self", "cls")]
@@ -246,10 +246,10 @@ def check_call(name: str, form: Signature, given: Sequence[object], named: Colle
         hint = f"; give others by name: {others}" if others else ""
         taken = ", ".join(part.name for part in placed if part.name in own)
         told = f"({taken})" if taken else "nothing"
-        raise ModelError(f"{name} takes {told} by place{hint}")
+        raise ModelError(f"{name} takes {told} by position{hint}")
     for part in placed[: len(given)]:
         if part.name in named:
-            raise ModelError(f"{name} is given {part.name!r} twice, by place and by name")
+            raise ModelError(f"{name} is given {part.name!r} twice, by position and by name")
     needed = [p for p in parts if p.default is p.empty and p.kind not in _REST and p.name in own]
     reached = {part.name for part in placed[: len(given)]}
     if missing := [part.name for part in needed if part.name not in reached.union(named)]:
@@ -259,11 +259,11 @@ def check_call(name: str, form: Signature, given: Sequence[object], named: Colle
 
 
 _REST = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-"""Parameters that take what is left, and need nothing."""
+"""Kinds of parameters that take the remaining arguments, and need none."""
 
 
 def in_short(value: Any) -> str:
-    """For an error: the value's repr where it is short; else what it is and how large."""
+    """Return a value's repr for an error, or its type and size if the repr is long."""
     if isinstance(value, enum.Enum):
         return repr(str(value.value))
     if isinstance(value, (int, Fraction)) and not isinstance(value, bool):
@@ -289,9 +289,9 @@ def in_short(value: Any) -> str:
 
 
 def nearest_name(unknown: Hashable, names: Iterable[Hashable]) -> Hashable | None:
-    """Return the name that is probably meant by an unknown one, None if there is none.
+    """Return the name that an unknown one probably means, or None.
 
-    A name that reads the same counts as nearest, such as 3 for '3' or (1, 2) for [1, 2].
+    A name that reads alike counts as nearest, such as 3 for '3' or (1, 2) for [1, 2].
     """
     some = list(islice(names, _LOOKED_AT))
     plain = _as_read_for_error(unknown)
@@ -308,8 +308,8 @@ def did_you_mean(unknown: Hashable, names: Iterable[Hashable], listed: str = "")
 
     Args:
         unknown: the name that was given.
-        names: the names that there are.
-        listed: where no name is near, list the first names after these words, such as "it has".
+        names: the existing names.
+        listed: words before a list of the first names if none is near, such as "it has".
     """
     some = names if isinstance(names, Collection) else list(names)
     if (meant := nearest_name(unknown, some)) is not None:
@@ -320,7 +320,7 @@ def did_you_mean(unknown: Hashable, names: Iterable[Hashable], listed: str = "")
 
 
 def _as_read_for_error(name: Hashable) -> str:
-    """For an error's hint: a name without quotes, brackets, blanks and capitals."""
+    """Return a name without quotes, brackets, blanks and capitals, to compare it in a hint."""
     return str(name).translate(_DROPPED).casefold()
 
 

@@ -1,9 +1,9 @@
-"""The base of all formulations: a criterion says what it asks, the rest is inherited.
+"""The base class of all formulations: a criterion declares its semantics, the rest is inherited.
 
-A formulation is a frozen dataclass with a model, a start, and what else it needs; it says what an
-episode is worth (``semantics``), whether its cost counts given success (``ratio``), and how much
-failing is allowed (``failure_budget``). From these follow its augmentation, its program, and which
-methods solve it. This module is also where a page of ``formulations`` finds what it imports.
+A formulation is a frozen dataclass with a model, a start, and its own arguments. It declares the
+worth of an episode (``semantics``), whether its cost counts given success (``ratio``), and the
+allowed failure (``failure_budget``). These determine its augmentation, its program, and the methods
+that solve it. The pages of ``formulations`` import from this module only.
 """
 
 from __future__ import annotations
@@ -101,35 +101,35 @@ if TYPE_CHECKING:
 _COMPILING = logging.getLogger("ssp_lp.compiling")
 
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
-"""What None stands for where a criterion asks for neither: the paper's section 2.4."""
+"""Default rule for giving up: the paper's section 2.4."""
 
 _NUMBER = ("float", float)
 _NUMBER_OR_NONE = ("float | None", float | None)
-"""Annotations of fields that hold numbers, which are floats once a problem is stated."""
+"""Annotations of number fields, which are converted to floats."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Formulation(Problem):
     """A criterion on a model with a start (see :class:`ssp_lp.problem.Problem`).
 
-    What a class does not say is inherited: exact, not given success, failing free and unlimited.
+    Defaults: exact, not given success, failing free and unlimited.
 
     Args:
         constraints: name -> constraint on a quantity (``ssp_lp.secondary_cost``, ``visits``,
             ``end_probability``, ...), such as ``{"fuel": secondary_cost(fuel) <= 3.0}``; every
-            criterion takes any number of them, beside its failure budget.
-        horizon: not to have reached the goal within so many steps is failure, "out of time"; None:
-            there is time for ever. Policies act on the model's states and count their steps.
+            criterion takes any number of them, in addition to its failure budget.
+        horizon: number of steps after which an episode without the goal fails, "out of time"; None:
+            unlimited. Policies act on the model's states and count their steps.
     """
 
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     horizon: int | None = None
 
     def __new__(cls, *arguments: Any, **named: Any) -> Self:
-        """Check what comes first before anything else is missed.
+        """Check the model and the arguments' names, before missing arguments raise an error.
 
         Raises:
-            ModelError: it is no model, or an argument by a name that there is not.
+            ModelError: no model, or an unknown argument name.
         """
         if arguments and not isinstance(arguments[0], SSP):
             first = next(part.name for part in fields(cls) if not part.kw_only)
@@ -143,15 +143,15 @@ class Formulation(Problem):
         return super().__new__(cls)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled by what it holds: it is stated, and checked, once."""
+        """Pickle the arguments, so that the copy is checked on construction."""
         return object.__new__, (type(self),), self.__getstate__()
 
     def __init_subclass__(cls) -> None:
-        """Every criterion keeps the repr that it inherits, which ``dataclass`` would replace."""
+        """Make every criterion inherit the repr, which ``dataclass`` would replace."""
         cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
-        """One line: the class, the model, the start, and what is not left to the default."""
+        """Return a line with the class, the model, the start, and all non-default arguments."""
         arguments = []
         for part in sorted(fields(self), key=lambda part: part.kw_only is True):
             is_budget = part.name in (stated := as_stated(self))
@@ -169,12 +169,12 @@ class Formulation(Problem):
         return f"{type(self).__name__}({', '.join(arguments)})"
 
     def __post_init__(self) -> None:
-        """Check what pages have in common: start, budget, discount, giving up, limits.
+        """Check the common arguments: start, budget, discount, giving up, limits.
 
         Raises:
             ModelError: no model, an unknown state, no distribution, a budget, a share or a discount
-                out of range, an unknown ``give_up``, a horizon that is no number of steps, or a
-                constraint that is stated wrongly.
+                out of range, an unknown ``give_up``, a horizon that is not a number of steps, or a
+                wrong constraint.
         """
         given = vars(self)
         for part in fields(self):
@@ -212,9 +212,9 @@ class Formulation(Problem):
         _ = self.objective_condition
 
     def __getstate__(self) -> dict[str, Any]:
-        """What was stated of a formulation, and the one that is solved, where policies may live.
+        """Return the arguments of the formulation, and the formulation that is solved.
 
-        What follows from these, such as arrays over all states, is made anew after a pickle.
+        Derived values, such as arrays over all states, are recomputed after a pickle.
         """
         made, kind = vars(self), type(self)
         follows = (k for k in made if isinstance(getattr(kind, k, None), cached_property))
@@ -224,11 +224,11 @@ class Formulation(Problem):
 
     @cached_property
     def unrolled(self) -> Self:
-        """The formulation on the model that is solved: on (state, steps) or labelled, if need be.
+        """The formulation on the model that is solved: on (state, steps) or labelled, if needed.
 
-        With a horizon its model is that of :func:`~ssp_lp.model.product.within_steps`; a goal that
-        is too far away is out of reach in it. Where something counts that may come after failing,
-        it is that of ``label_failing``. Both are made when they are first asked for.
+        With a horizon that model is :func:`~ssp_lp.model.product.within_steps`, in which a goal
+        that is too far away is unreachable. If something counts that may come after failing, it is
+        the model of ``label_failing``. Both are built on first use.
         """
         if self.tracked is not self:
             return self.tracked.unrolled
@@ -248,15 +248,15 @@ class Formulation(Problem):
         return self._on(label, {label.states[k]: float(self._begun[k]) for k in begin.tolist()})
 
     def _on(self, model: SSP, start: Mapping[Hashable, float], horizon: int | None = None) -> Self:
-        """The formulation restated on another model."""
+        """Return the formulation restated on another model."""
         on_it: dict[str, Any] = {"model": model, "start": start, "horizon": horizon}
         return replace(self, **on_it, **as_stated(self))
 
     @cached_property
     def tracked(self) -> Self:
-        """The formulation on the model with the automata that follow what it limits of whole runs.
+        """The formulation on the product with the automata of its limits on whole runs.
 
-        The horizon is as stated; without such limits it is the formulation itself.
+        The horizon is unchanged; without such limits this is the formulation itself.
         """
         if not (self.constraints or self.own_constraints) and self.quantity is None:
             return self
@@ -274,7 +274,7 @@ class Formulation(Problem):
 
     @cached_property
     def objective_condition(self) -> Condition | None:
-        """A formulation's objective in place of the cost, looked up; None: the cost."""
+        """Quantity that replaces the cost as the objective of a formulation, or None."""
         if self.quantity is None or self.semantics.counts_law:
             return None
         if self.horizon is not None or self.tracked is not self:
@@ -283,7 +283,7 @@ class Formulation(Problem):
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
-        """The formulation's constraints, checked, with their costs by outcome."""
+        """Constraints of the formulation, checked, with their costs by outcome."""
         own, stated = self.own_constraints, self.constraints
         if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
             raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
@@ -296,7 +296,7 @@ class Formulation(Problem):
 
     @property
     def measure(self) -> Measure | None:
-        """Measure of the law of the total cost, in place of its mean; None: the mean counts.
+        """Measure of the law of the total cost that replaces its mean; None: the mean counts.
 
         Raises:
             ModelError: an arrival cost is not counted given success, or is discounted.
@@ -309,22 +309,22 @@ class Formulation(Problem):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """What an episode is worth, by the class's ``give_up``, ``penalty``, ``aim`` and so on."""
+        """Worth of an episode, from the class's ``give_up``, ``penalty``, ``aim`` and so on."""
         give_up, charged = GiveUp(str(self.give_up)), bool(self.charge_failing_step)
         return FailureSemantics(give_up, charged, float(self.penalty), self.aim, self.measure)
 
     @cached_property
     def _begun(self) -> FloatArray:
-        """The formulation's start as a distribution, [states]."""
+        """Start of the formulation as a distribution, [states]."""
         start: FloatArray = read_only(start_distribution(self.model, self.start))
         return start
 
     def compile(self) -> CompiledProblem:
-        """The compiled problem of a formulation: its augmented process, ready for a method.
+        """Return the compiled problem of a formulation: its augmented process, ready for a method.
 
-        Costs given success, and whatever is made of the total cost, need the accumulated cost
-        (paper, section 3.1.1); everything else the failure label (section 3.1.2). A horizon is
-        unrolled before.
+        Costs given success, and functions of the total cost, need the accumulated cost (paper,
+        section 3.1.1); all other criteria need the failure label (section 3.1.2). A horizon is
+        unrolled first.
         """
         if self.box is not None:
             raise has_boxes("compile")
@@ -340,7 +340,7 @@ class Formulation(Problem):
         return CompiledExplicit(model, start, semantics, self.discount)
 
     def program(self) -> OccupationProgram:
-        """The formulation's linear program over expected visits, whose optimum is the problem's.
+        """Return the formulation's linear program over expected visits.
 
         Raises:
             ModelError: the criterion is no linear program.

@@ -1,4 +1,4 @@
-"""Methods of solution, which are values, the options that go with them, and what they tell."""
+"""Solution methods, solver options, status codes and progress reporting."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from ssp_lp.errors import (
 )
 
 BACKENDS = ("highs", "highs-simplex", "highs-ipx", "cvxpy")
-"""Solvers of linear programs."""
+"""Backends for linear programs."""
 
 
 class Status(StrEnum):
-    """Why a call ended with the answer that it hands back."""
+    """Why a call ended with the answer that it returns."""
 
     OPTIMAL = "optimal: the certified gap meets the tolerance"
     TIME_LIMIT = "stopped by the time limit: the best answer so far, with its certified gap"
@@ -39,28 +39,28 @@ Progress = Callable[[int, float, float], None]
 """Called after each pricing call with (calls, failure price, objective)."""
 
 LOGGER = "ssp_lp"
-"""All that is told of work goes to this logger's children, one for each phase: "ssp_lp.search"
-and what docs/solving.md lists; what is done at level INFO, how far it has come at DEBUG, with the
-``share`` of it that is done as a field of the record where that is known."""
+"""Logger of progress reports; its children, one for each phase ("ssp_lp.search", ...), are listed
+in docs/solving.md. Finished work is logged at level INFO, progress at DEBUG, with the finished
+``share`` as a field of the record if it is known."""
 
 _SEARCH = logging.getLogger(f"{LOGGER}.search")
-_PATIENCE = 1.0  # seconds before a line that does not last is shown
-_BETWEEN = 0.1  # seconds between two tellings of how far work has come
+_PATIENCE = 1.0  # seconds before a line is shown that will be overwritten
+_BETWEEN = 0.1  # seconds between two progress reports
 _WIDTH, _BAR = 100, 20  # characters of a line, and of a bar in it
 
 
 class _Option:
-    """Mix-in of methods: a misspelled option of theirs is named."""
+    """Mix-in of methods that names a misspelled option."""
 
     def __new__(cls, *given: object, **named: object) -> Self:
-        """Raise :class:`ModelError` for an argument that there is not."""
+        """Raise :class:`ModelError` for an unknown option."""
         check_call(cls.__name__, form_of(cls.__init__), (None, *given), named)
         return super().__new__(cls)
 
 
 @dataclass(frozen=True)
 class ColumnGeneration(_Option):
-    """Policies priced one by one into a small master program; what is chosen unless asked."""
+    """The default method: policies are priced one by one into a small master program."""
 
     name: ClassVar[str] = "columns"
 
@@ -91,17 +91,16 @@ class LinearProgramming(_Option):
 class Game(_Option):
     """The paper's value iteration and zero-sum game (section 3.5).
 
-    It needs a discount and a budget above 0.
+    Requires a discount and a budget above 0.
 
     Args:
-        tail: in case S the paper's M, a total cost above 0: of all policies those of
-            Pi_{M,pi'_or}, which fail as surely as they can once it is paid. What the answer costs
-            is then measured as that of any policy, and its bound holds for all policies; c-hat_M
-            of the paper is :func:`ssp_lp.game.stationary_game` with the same tail. None: M grows
-            until nothing is lost beyond it.
+        tail: in case S the paper's M, a total cost above 0: restricts policies to Pi_{M,pi'_or},
+            which fail as surely as possible once M is paid. The answer's cost is measured exactly,
+            and its bound holds for all policies; :func:`ssp_lp.game.stationary_game` with this tail
+            gives the paper's c-hat_M. None: M grows until nothing is lost beyond it.
 
     Raises:
-        ModelError: a tail that is no number above 0.
+        ModelError: a tail that is not a number above 0.
     """
 
     tail: float | None = None
@@ -114,7 +113,7 @@ class Game(_Option):
 
 
 def check_tail(tail: object) -> float:
-    """The game's M as a number; raise :class:`ModelError` unless it is above 0 and finite."""
+    """Return the game's M as a number; :class:`ModelError` unless it is in (0, inf)."""
     if not (is_number(tail) and 0.0 < float(tail) < float("inf")):
         raise wrong_argument("tail", "be a total cost above 0", tail)
     return float(tail)
@@ -122,12 +121,12 @@ def check_tail(tail: object) -> float:
 
 @dataclass(frozen=True)
 class DeterministicPolicies(_Option):
-    """The best single policy that never tosses a coin, by mixed-integer programs.
+    """The best deterministic policy, by mixed-integer programs.
 
     Stationary in the model's states; in case S in (state, accumulated cost).
 
     Args:
-        relaxation: what finds the best lottery, with which the search begins.
+        relaxation: method that finds the best lottery, with which the search begins.
 
     Raises:
         ModelError: another method.
@@ -147,10 +146,10 @@ Method = ColumnGeneration | LinearProgramming | Game | DeterministicPolicies
 
 
 def parse_method(method: Method | str | None) -> Method:
-    """A method option, by itself or by its name; None: column generation.
+    """Return the method of that name, or a method as it is; None: column generation.
 
     Raises:
-        ModelError: it is neither.
+        ModelError: no method or name of one.
     """
     if method is None:
         return _BY_NAME[ColumnGeneration.name]
@@ -171,24 +170,24 @@ _BY_NAME: dict[str, Method] = {
 
 @dataclass(frozen=True)
 class SolveOptions:
-    """Options of a search: how exact, by what, and for how long."""
+    """Options of a search: tolerance, method and time limit."""
 
     tolerance: float = RELATIVE_GAP
     deadline: float = float("inf")  # on the clock of time.perf_counter
     progress: Progress | None = None
     program: LinearProgramming | None = None  # solve the full linear program first
-    deterministic: bool = False  # no lottery will do
+    deterministic: bool = False  # the policy may not be a lottery
     tail: float | None = None  # the M of the game, in case S
 
     @property
     def method(self) -> str:
-        """The name of the method in the solve options."""
+        """Name of the method in the solve options."""
         if self.deterministic:
             return DeterministicPolicies.name
         return ColumnGeneration.name if self.program is None else self.program.name
 
     def after(self, calls: int) -> SolveOptions:
-        """Solve options after so many pricing calls."""
+        """Return the solve options, with progress reports that count these pricing calls, too."""
         progress = self.progress
         if progress is None:
             return self
@@ -206,25 +205,25 @@ def options_of(
     time_limit: float | None,
     progress: Progress | None,
 ) -> SolveOptions:
-    """Solve options from tolerance and time limit, checked.
+    """Return the solve options of a tolerance and a time limit, checked.
 
     Args:
-        method: says whether the full linear program is solved first.
+        method: a :class:`LinearProgramming` solves the full linear program first.
         tolerance: relative gap to reach.
-        began: on the clock of ``time.perf_counter``.
+        began: start of the call, on the clock of ``time.perf_counter``.
         time_limit: seconds from then.
         progress: see ``Progress``.
 
     Raises:
-        ModelError: a tolerance outside (0, 1), or a time limit that is no number of seconds.
+        ModelError: a tolerance outside (0, 1), or a time limit that is not a number of seconds.
     """
     check_between_0_and_1("tolerance", tolerance)
     if progress is not None and not callable(progress):
-        raise ModelError(f"progress must be a function or None, not {progress!r}; verbose=True "
-                         "shows how far work has come")  # fmt: skip
+        raise ModelError(f"progress must be a function or None, not {progress!r}: pass "
+                         "verbose=True to show how far work has come")  # fmt: skip
 
     def told(calls: int, price: float, objective: float) -> None:
-        """Tell the logger, then whoever asked."""
+        """Report to the logger, then to the caller's ``progress``."""
         _SEARCH.debug("%d pricing calls, price %.6g, objective %.9g", calls, price, objective)
         if progress is not None:
             progress(calls, price, objective)
@@ -239,10 +238,10 @@ def options_of(
 
 
 def deadline_of(time_limit: float | None, began: float, name: str = "time_limit") -> float:
-    """End of the time limit option of this name, on the clock of ``time.perf_counter``.
+    """Return the end of the time limit, on the clock of ``time.perf_counter``; inf for None.
 
     Raises:
-        ModelError: a limit that is no number of seconds.
+        ModelError: a limit that is not a number of seconds; the error names this option.
     """
     if time_limit is not None and not (is_number(time_limit) and time_limit >= 0.0):
         raise wrong_argument(name, "be a number of seconds", time_limit)
@@ -251,18 +250,18 @@ def deadline_of(time_limit: float | None, began: float, name: str = "time_limit"
 
 @contextmanager
 def progress_shown(verbose: bool = True, *, lasting: bool = True) -> Iterator[None]:
-    """Show what the library is doing, on the standard error: each phase as it is done.
+    """Show each phase of the library's work on standard error, while the context lasts.
 
-    In a terminal or a notebook a line at the bottom says besides how far the work has come. Without
-    it nothing is shown; ``logging`` has the same under the name "ssp_lp".
+    A terminal or a notebook also shows a bottom line with the progress of the current phase.
+    Without this context nothing is shown; ``logging`` has the same reports under the name "ssp_lp".
 
     Args:
         verbose: False: show nothing.
-        lasting: False: one line alone that is overwritten, from the second second on, of which
-            nothing is left in the end.
+        lasting: False: show a single line that is overwritten, from the second second on, and
+            removed at the end.
 
     Raises:
-        ModelError: one of them is neither True nor False.
+        ModelError: an argument is neither True nor False.
 
     Example:
         >>> with progress_shown():
@@ -278,7 +277,7 @@ def progress_shown(verbose: bool = True, *, lasting: bool = True) -> Iterator[No
     level, passed_on = logger.level, logger.propagate
     logger.addHandler(shown)
     logger.setLevel(logging.DEBUG)
-    logger.propagate = False  # or whoever listens to all loggers would be told as well
+    logger.propagate = False  # or handlers of the root logger would report it, too
     try:
         yield
     finally:
@@ -289,17 +288,17 @@ def progress_shown(verbose: bool = True, *, lasting: bool = True) -> Iterator[No
 
 
 class _ProgressLines(logging.Handler):
-    """Lines of what is done; below them, where it can be overwritten, what is under way."""
+    """Handler that prints finished phases and, if lines can be overwritten, the current one."""
 
     def __init__(self, stream: TextIO, lasting: bool) -> None:
-        """Begin to count the seconds."""
+        """Start the clock."""
         super().__init__()
         self._stream, self._began, self._lasting = stream, time.perf_counter(), lasting
         self._overwrites = stream.isatty() or "ipykernel" in sys.modules
         self._told, self._under_way = 0.0, False
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line of progress over the one that was under way."""
+        """Write a line of progress over the unfinished one."""
         now, done = time.perf_counter(), record.levelno > logging.DEBUG
         if not self._lasting and now - self._began < _PATIENCE:
             return
@@ -316,12 +315,12 @@ class _ProgressLines(logging.Handler):
         self._told, self._under_way = (self._told, False) if done else (now, True)
 
     def close(self) -> None:
-        """End the lines of progress, leaving none that was under way."""
+        """Finish the output, leaving no unfinished line."""
         self._clear()
         super().close()
 
     def _clear(self) -> None:
-        """Clear the line of progress that was under way."""
+        """Clear the unfinished line of progress."""
         if self._under_way:
             self._stream.write(f"\r{' ' * _WIDTH}\r")
             self._under_way = False

@@ -1,4 +1,4 @@
-"""What makes a problem: a formulation hands this to ``solve``, ``evaluate`` and ``simulate``."""
+"""The base class of problems, which ``solve``, ``evaluate`` and ``simulate`` take, and checks."""
 
 from __future__ import annotations
 
@@ -56,15 +56,15 @@ Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
 EXACT = FailureSemantics()
-"""What an episode is worth where nothing is said: its cost until the goal, failing free."""
+"""Default worth of an episode: its cost until the goal, failing free."""
 
 
 class Problem(ReadOnlyCopies):
     """A criterion on a model with a start and a failure budget.
 
-    What a class does not say is as it stands here: exact, not given success, no limits but the
-    failure budget. Where failing is not limited but has its price, ``failure_budget`` is 1 and
-    ``semantics`` names the penalty; where only the goal counts, ``semantics`` says so.
+    The class attributes are the defaults: exact, not given success, no limits but the failure
+    budget. If failing has a price instead of a limit, ``failure_budget`` is 1 and ``semantics`` has
+    the penalty; if only the goal counts, ``semantics`` says so.
     """
 
     model: SSP
@@ -75,11 +75,11 @@ class Problem(ReadOnlyCopies):
     discount: float | None = None  # None: exact; a number: the surrogate of section 3.5
     ratio = False  # whether the cost counts given success (case S)
     horizon: int | None = None
-    cost_cap: float | None = None  # of accumulated cost, where it is told apart
-    cost_levels: int | None = None  # of the grid where costs have no unit
+    cost_cap: float | None = None  # of accumulated cost, beyond which totals are not distinguished
+    cost_levels: int | None = None  # of the grid, if costs have no unit
     reach_fraction: float | None = None  # of the greatest goal probability, for a budget
-    quantity: Quantity | None = None  # what is minimised in place of the cost
-    box: Boxes | None = None  # of probabilities, over all of which the worst counts
+    quantity: Quantity | None = None  # replaces the cost as the objective
+    box: Boxes | None = None  # of probabilities; their worst case counts
     penalty: float = 0.0  # price of failing; infinite: failing is forbidden
     aim = Aim.LEAST_COST
     constraints: Mapping[str, Constraint] = MappingProxyType({})
@@ -91,22 +91,22 @@ class Problem(ReadOnlyCopies):
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
-        """Constraints beside the failure budget, checked."""
+        """Constraints in addition to the failure budget, checked."""
         return ()
 
     @property
     def objective_condition(self) -> Condition | None:
-        """The quantity that is minimised in place of the cost, checked; None: the cost."""
+        """Quantity that replaces the cost as the objective, checked; None: the cost."""
         return None
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
-        """Constraints that a criterion has by itself; none unless its class says so."""
+        """Constraints that the criterion itself has; none by default."""
         return {}
 
     @property
     def tracked(self) -> Problem:
-        """The problem on the model with automata that follow whole runs; itself without any."""
+        """The problem on the product with the automata of its limits on whole runs, if any."""
         return self
 
     @property
@@ -116,12 +116,12 @@ class Problem(ReadOnlyCopies):
 
     @property
     def has_rows(self) -> bool:
-        """Whether a problem has constraints or an objective that only the methods for rows know."""
+        """Whether a problem has constraints or an objective that need a method for rows."""
         return bool(self.conditions) or self.objective_condition is not None
 
     @property
     def requirements(self) -> Requirements:
-        """Requirements of a problem to a method."""
+        """Features of a problem that a method must support."""
         semantics, rows, totals = self.semantics, self.has_rows, TotalScale.NONE
         law, is_risk = semantics.counts_law, semantics.risk is not None
         if law or self.ratio:
@@ -135,31 +135,31 @@ class Problem(ReadOnlyCopies):
         return Requirements(law, is_risk, semantics.aim, self.ratio, rows, totals, least)
 
     def compile(self) -> CompiledProblem:
-        """The problem compiled: its augmented process, ready for a method."""
+        """Return the problem compiled: its augmented process, ready for a method."""
         raise NotImplementedError
 
     def program(self) -> Any:
-        """The problem's linear program over expected visits.
+        """Return the problem's linear program over expected visits.
 
         Raises:
-            ModelError: its class makes none.
+            ModelError: the class has none.
         """
         name = type(self).__name__
         raise ModelError(f"{name} has no linear program: derive it from Formulation")
 
 
 NEEDED = cast("Problem", None)
-"""Stands where a problem was left out, so that what is said of it is the library's word."""
+"""Default of a required argument, so that leaving it out raises ModelError, not TypeError."""
 
 
 def resolution_of(problem: Problem) -> Resolution | None:
-    """Resolution of totals that a problem asks for; None where multiples of a unit serve."""
+    """Return the resolution of totals in a problem; None: multiples of a unit suffice."""
     levels, cap = problem.cost_levels, problem.cost_cap
     of_law = problem.semantics.counts_law
     if not of_law and not problem.ratio:
         return None
     if not of_law and levels is None and problem.failure_budget is None and not problem.has_rows:
-        return None  # at least failure no cost has to be remembered
+        return None  # with least failure no cost must be remembered
     resolution = resolution_for(problem.model, levels, cap, of_law=of_law)
     charge = problem.semantics.charge(problem.ratio)
     if resolution is None or not isinstance(charge, ExponentialUtility) or problem.has_rows:
@@ -174,7 +174,7 @@ def resolution_of(problem: Problem) -> Resolution | None:
 
 
 class TotalScale(StrEnum):
-    """Scales by which the totals of a cost are told apart."""
+    """Scales on which the totals of a cost are distinguished."""
 
     NONE = "no total is counted"
     UNITS = "multiples of a unit"
@@ -184,29 +184,29 @@ class TotalScale(StrEnum):
 
 @dataclass(frozen=True)
 class Requirements:
-    """Requirements of a problem to a method, whatever its criterion is called."""
+    """Features of a problem that a method must support, independent of the criterion's name."""
 
     law: bool  # a measure of the law of the total cost, not its mean or the goal
-    is_risk: bool  # no single program answers it: a quantile or a tail mean
+    is_risk: bool  # a quantile or a tail mean, which no single program answers
     aim: Aim
     ratio: bool  # given success
-    rows: bool  # limits beside the failure budget, or a quantity of its own as the objective
+    rows: bool  # limits in addition to the failure budget, or an objective other than the cost
     totals: TotalScale
     least_failure: bool  # no budget: as low as possible
 
     @property
     def several_rows(self) -> bool:
-        """Whether the problem requires a process written out, with rows."""
+        """Whether the problem needs an explicit process and a program with rows."""
         return self.rows or self.totals is TotalScale.GRID
 
     @property
     def counts_totals(self) -> bool:
-        """Whether the problem requires the total cost of a run that succeeds."""
+        """Whether the problem depends on the total cost of a run that succeeds."""
         return self.totals is not TotalScale.NONE
 
 
 def least_failure_bound(problem: Problem) -> float | None:
-    """Certified lower bound of the failure of every policy; None: the problem limits failure."""
+    """Return the certified lower bound of every policy's failure; None: failure has a limit."""
     if not problem.requirements.least_failure:
         return None
     model, survival = problem.model, survival_of(problem.discount)
@@ -219,7 +219,7 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
 
     Args:
         problem: the problem.
-        by_units: tell totals apart as multiples of a unit whatever the costs are.
+        by_units: distinguish totals as multiples of a unit whatever the costs are.
     """
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
     objective, model = problem.objective_condition, problem.model
@@ -227,7 +227,7 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
     if (label := model.failure_label) is not None and start[~label.finite[0]].any():
         begun = start[: label.n_original]
         raise InfeasibleError(
-            "what is counted after failing grows without end under every policy",
+            "a quantity counted after failing grows without bound under every policy",
             failure_budget=problem.failure_budget,
             least_failure=lambda: max(1.0 - greatest_goal_from(label.original, begun), 0.0),
         )
@@ -251,7 +251,7 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArriva
 
     Args:
         problem: the problem.
-        may_sum: tell totals apart by their sums where the problem asks for it.
+        may_sum: distinguish totals by their sums if the problem allows it.
     """
     start = start_distribution(problem.model, problem.start)
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
@@ -261,7 +261,7 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArriva
 
 @dataclass(frozen=True, eq=False)
 class Restated(Problem):
-    """A problem on its model with other costs, or of another worth, the rest as asked."""
+    """A problem on its model with other costs or another worth, and the same limits."""
 
     model: SSP
     start: Start
@@ -281,20 +281,20 @@ _FOLLOWS = "failure_budget followed from reach_fraction (solve takes as long as 
 
 
 class FailureBudget:
-    """The field ``failure_budget`` of a problem that may be given ``reach_fraction`` instead.
+    """Descriptor of ``failure_budget`` in a problem that may be given ``reach_fraction`` instead.
 
-    The budget is then that of a share of the greatest goal probability, worked out when it is
-    first asked for: stating a problem solves nothing. ``solve`` does so within its own time limit;
-    whoever only reads it waits for some seconds at most, and gets an OutOfTimeError after that.
+    The budget then follows from a share of the greatest goal probability. It is computed on first
+    use, since stating a problem solves nothing: by ``solve`` within its own time limit; reading the
+    attribute takes some seconds at most, and raises OutOfTimeError after that.
     """
 
     def __set__(self, problem: object, value: float | None) -> None:
-        """Keep what was stated."""
-        is_followed = isinstance(value, GoalShare)  # ``replace`` must not take it for the user's
+        """Store the budget that was given."""
+        is_followed = isinstance(value, GoalShare)  # not given: ``replace`` passes it on
         vars(problem)["_stated_budget"] = None if is_followed else as_float(value)
 
     def __get__(self, problem: Any, owner: type[object]) -> float | None:
-        """The budget; asked of the class, the default: least failure."""
+        """Return the budget; of the class, the default None (least failure)."""
         if problem is None:
             return None
         fields, key, share = vars(problem), "_stated_budget", problem.reach_fraction
@@ -308,11 +308,11 @@ class FailureBudget:
 
 
 BUDGET_OR_SHARE = FailureBudget()
-"""The default of the field; what is stated is kept in the problem, so that one serves all."""
+"""Default of the field; one descriptor serves all problems, which store their budgets."""
 
 
 def as_stated(problem: object) -> dict[str, Any]:
-    """A problem's argument ``failure_budget`` as it was given, for a copy; empty if none was."""
+    """Return the given argument ``failure_budget`` of a problem, for a copy; empty if none was."""
     fields = vars(problem)
     return {"failure_budget": fields["_stated_budget"]} if "_stated_budget" in fields else {}
 
@@ -320,7 +320,7 @@ def as_stated(problem: object) -> dict[str, Any]:
 def budget_of_share(
     model: SSP, start: Hashable | Mapping[Hashable, float], reach_fraction: float
 ) -> GoalShare:
-    """A problem's failure budget by a share of the greatest goal probability.
+    """Return a problem's failure budget by a share of the greatest goal probability.
 
     Args:
         model: the model.
@@ -332,10 +332,10 @@ def budget_of_share(
 
 
 def check_problem(problem: object, verb: str) -> None:
-    """Check that a problem has a start and a statement of what is asked.
+    """Check that an argument is a problem, with a start and a semantics.
 
     Raises:
-        ModelError: a model alone, or something else; ``verb`` is what was to be done with it.
+        ModelError: a model alone, or something else; ``verb`` names the function that was called.
     """
     if not isinstance(problem, Problem):
         raise ModelError(
@@ -345,10 +345,10 @@ def check_problem(problem: object, verb: str) -> None:
 
 
 def check_explorable(problem: Problem) -> None:
-    """Check that a problem on an implicit model can be answered by exploring it.
+    """Check that exploration can solve a problem on an implicit model.
 
     Raises:
-        ModelError: a start that the model does not name, what is made of the total cost of a run, a
+        ModelError: a start that the model does not name, a function of the total cost of a run, a
             horizon, a share of the greatest goal probability, or a limit that the explored part
             does not bound.
     """
@@ -356,20 +356,20 @@ def check_explorable(problem: Problem) -> None:
     for state in start if isinstance(start, Mapping) else [start]:
         if state not in whole.begin:
             raise ModelError(f"start: {state!r} is not a state in which {whole!r} may begin")
-    name, more = type(problem).__name__, "; build the whole model, SSP.from_successors(...)"
+    name, more = type(problem).__name__, ": build the whole model, SSP.from_successors(...)"
     if problem.ratio or problem.semantics.counts_law:
         raise ModelError(f"{name} counts the total cost of a run, which is not explored{more}")
     if problem.horizon is not None:
         hint = ", or count the steps in its states"
-        raise ModelError(Argument("horizon"), f" is not for an implicit model{more}{hint}")
+        raise ModelError(Argument("horizon"), f" does not support an implicit model{more}{hint}")
     if problem.reach_fraction is not None:
         raise ModelError(
             Argument("reach_fraction"),
-            " is not for an implicit model: solve MaxProb first, and state failure_budget",
+            " does not support an implicit model: solve MaxProb first, and state failure_budget",
         )
     if problem.failure_budget is None and problem.own_constraints:
         raise ModelError(
-            f"{name} at least failure is not explored: state ", Argument("failure_budget")
+            f"{name} with least failure needs the whole model: state ", Argument("failure_budget")
         )
     for limit, constraint in limits_of(problem):
         if (fault := beyond_exploring(constraint)) is not None:
@@ -377,7 +377,7 @@ def check_explorable(problem: Problem) -> None:
 
 
 def check_boxed(problem: Problem, box: object) -> None:
-    """Check that a problem over boxes of probabilities has a robust optimum to be found.
+    """Check that a problem over boxes of probabilities has a robust optimum that can be found.
 
     Raises:
         ModelError: no boxes, or those of another model; constraints, a horizon or a discount;
@@ -401,7 +401,7 @@ def check_boxed(problem: Problem, box: object) -> None:
 
 
 def has_boxes(verb: str) -> ModelError:
-    """The error of a verb that needs one model, for a problem over boxes of probabilities."""
+    """Return the error of a function that needs one model, for a problem over boxes."""
     return ModelError(
         f"{verb} needs one choice of probabilities, and the problem has boxes: pass box= to "
         "evaluate, or solve it and take solution.problem, which has the worst of them"
@@ -425,7 +425,7 @@ def check_measures(problem: Problem) -> None:
 
 
 def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
-    """A problem's limits, and its objective as one; what is no limit is refused elsewhere."""
+    """Return a problem's limits and its objective; entries that are not limits are left out."""
     own, stated = problem.own_constraints, problem.constraints
     limits = {**own, **stated} if isinstance(stated, Mapping) else own
     asked = [(str(name), limit) for name, limit in limits.items() if isinstance(limit, Constraint)]
@@ -435,7 +435,7 @@ def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
 
 
 def restated_on(problem: Any, part: ExploredSSP) -> Problem:
-    """A problem on an implicit model, restated on an explored part; on any other model as it is."""
+    """Return a problem on an implicit model restated on an explored part; else the problem."""
     if part.whole is not problem.model:
         return cast("Problem", problem)
     return cast("Problem", replace(problem, model=part, **as_stated(problem)))
@@ -444,14 +444,14 @@ def restated_on(problem: Any, part: ExploredSSP) -> Problem:
 def on_one_model(
     policy: Policy | MixedPolicy, problem: Problem, verb: str
 ) -> tuple[MixedPolicy, Problem]:
-    """Check that a policy and a problem are on one model.
+    """Check that a policy and a problem share a model.
 
     Returns:
-        The policy as a lottery, and the problem that is solved, both on its model: with a horizon
-        that of (state, steps taken), wherever the policy acts.
+        The policy as a lottery, and the problem that is solved, both on the latter's model: with a
+        horizon that of (state, steps taken).
 
     Raises:
-        ModelError: a solution, or something else, in place of the policy; no problem; two models.
+        ModelError: no policy (a solution, for instance); no problem; or two models.
     """
     if hasattr(policy, "policy") and hasattr(policy, "problem"):
         raise ModelError(f"{verb} takes a policy: pass solution.policy and its problem")
@@ -479,14 +479,14 @@ def on_one_model(
 
 
 def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
-    """A policy of the problem that is solved, on the states of the problem as stated."""
+    """Return a policy of the problem that is solved, on the states of the problem as stated."""
     while policy.model is not problem.model:
         policy = on_original(policy)
     return policy
 
 
 def as_float(value: Any) -> Any:
-    """A problem's argument as a float, if a fraction or a number of numpy's; else as it is."""
+    """Return a problem's argument as a float if it is a fraction or numpy's, else unchanged."""
     return value if type(value) in (bool, int, float) or not is_number(value) else float(value)
 
 
@@ -494,7 +494,7 @@ def check_numbers(**named: object) -> None:
     """Check that a problem's arguments are numbers: Python's, numpy's or fractions.
 
     Raises:
-        ModelError: one is not; it is named.
+        ModelError: an argument is not a number; the error names it.
     """
     for name, value in named.items():
         if not is_number(value):
@@ -511,18 +511,18 @@ def check_cost(**named: object) -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _InProduct(Policy):
-    """A policy of the original model that acts in a product, whose memory it does not look at."""
+    """A policy of the original model that acts in a product and ignores its memory."""
 
     inner: Policy  # on the original
     model: ProductSSP
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Start memory of a policy restated on a problem's product, [episodes]."""
+        """Return the start memory of a policy restated on a problem's product, [episodes]."""
         return self.inner.start_memory(self.model.original_state[states])
 
     @property
     def goes_on(self) -> bool:  # type: ignore[override]
-        """Whether the inner policy goes on after failing, a problem's product having no label."""
+        """Whether the inner policy goes on after failing, if the product has no failure label."""
         return self.inner.goes_on and self.model.failure_label is None
 
     @property
@@ -531,7 +531,7 @@ class _InProduct(Policy):
         return self.inner.goes_on
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Decisions of a policy restated on a problem's product, as pairs of that."""
+        """Return the decisions of a policy restated on a problem's product, as its pairs."""
         product, label = self.model, self.model.failure_label
         branches = self.inner.branches(product.original_state[states], memory)
         kept = branches.kept(memory)
@@ -541,13 +541,13 @@ class _InProduct(Policy):
             quits = (kept != memory[branches.situation]) & ~label.after[there]
             taken = np.where(quits, label.giving_up_by(pair), taken)
         pair = np.where(branches.pair >= 0, taken, branches.pair)
-        if label is not None:  # it may have nothing to say there
+        if label is not None:  # the inner policy may have no decision there
             beyond = label.is_open[label.original_state] & (label.after | label.lost)
             pair = np.where(beyond[there] & (pair < 0), GIVE_UP_CODE, pair)
         return Branches(branches.situation, pair, branches.probability, kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Memory after a step of a policy restated on a problem's product, [episodes]."""
+        """Return the restated policy's memory on a problem's product after a step, [episodes]."""
         pairs, successors, costs = step
         there, pair = self.model.original_state[successors], self.model.original_pair[pairs]
         return self.inner.remember(memory, pair, there, costs)
@@ -555,24 +555,24 @@ class _InProduct(Policy):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _UntilFailing(Policy):
-    """A policy that goes on after failing, where a problem counts nothing then."""
+    """A policy that goes on after failing, cut off at failing, since nothing counts then."""
 
     carrier: Policy
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """The model of a problem's policy that ends with failing."""
+        """Model of a problem's policy that ends with failing."""
         return self.carrier.model
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Decisions of a problem's policy that ends with failing."""
+        """Return the decisions of a problem's policy that ends with failing."""
         branches = self.carrier.branches(states, memory)
         pair = np.where(branches.gives_up(memory), GIVE_UP_CODE, branches.pair)
         return Branches(branches.situation, pair, branches.probability)
 
 
 def until_failing(lottery: MixedPolicy) -> MixedPolicy:
-    """A problem's policies, none of which goes on after failing."""
+    """Return a problem's policies, each cut off at failing if it goes on after it."""
     for member in lottery.policies:
         if member.goes_on:
             return replace(lottery, policies=tuple(map(_UntilFailing, lottery.policies)))
@@ -580,11 +580,11 @@ def until_failing(lottery: MixedPolicy) -> MixedPolicy:
 
 
 def on_product(policy: Policy | MixedPolicy, product: ProductSSP) -> MixedPolicy:
-    """A policy of a problem's original model on a product; a carrier of its memory is unwrapped.
+    """Return a policy of the original model on a product; a carrier of its memory is unwrapped.
 
     Args:
-        policy: such as one of :func:`on_original`, or one that knows nothing of the memory.
-        product: of the model that the policy acts on.
+        policy: such as one of :func:`on_original`, or one that ignores the product's memory.
+        product: product of the model that the policy acts on.
     """
     lottery = as_lottery(policy)
     if product.original is not lottery.model and isinstance(product.original, ProductSSP):

@@ -1,4 +1,4 @@
-"""What ``solve`` hands back: the optimum, its proof, and the policy that attains it."""
+"""The result of ``solve``: the optimum, its proof, and the policy that attains it."""
 
 from __future__ import annotations
 
@@ -49,20 +49,20 @@ from ssp_lp.processes.past_failing import labelled_past_failing
 from ssp_lp.processes.quantities import Quantity, objective_of
 from ssp_lp.programs.occupation_measure import StateValues
 
-_LEAST_LIMIT = 1.0  # seconds that numbers have which are worked out after a short call
+_LEAST_LIMIT = 1.0  # least seconds for numbers computed later, if the call was shorter
 
 
 @dataclass(frozen=True)
 class Run:
-    """The run of a method: which one, why, and its work."""
+    """The run of a method: its name, the reason for choosing it, and its work."""
 
     method: str  # "columns", "lp", "game" or "deterministic"
-    reason: str  # why this method, and what it had to do
+    reason: str  # why this method was chosen, and what it did
     pricing_calls: int
     seconds: float
     work: Work = field(default_factory=Work)  # passes over the process
     program: str = ""  # the linear program's own report, where one was solved
-    time_limit: float | None = None  # seconds of the call, and of numbers worked out later
+    time_limit: float | None = None  # seconds of the call, and of numbers computed later
     deterministic: bool = False  # whether the best policy that is not mixed was sought
 
     @property
@@ -72,7 +72,7 @@ class Run:
 
     @property
     def products(self) -> int:
-        """Products with a policy's rows in the run, a share of a sweep each."""
+        """Products with a policy's rows in the run; each costs a share of a sweep."""
         return self.work.products
 
 
@@ -81,16 +81,16 @@ class Solution(Facts, ReadOnlyCopies):
     """The optimal value c*, a certified lower bound, and a mixed policy that attains the value.
 
     ``objective`` and ``budget_used`` are exact measures of the policy on the augmented process. The
-    other numbers about the policy are evaluated on the model itself when they are first asked for.
+    other numbers about the policy are evaluated on the model itself on first use.
     """
 
     problem: Problem
     policy: MixedPolicy
     objective: float  # c*: the exact value of the policy
-    lower_bound: float  # of the optimum, certified; of a greatest probability, the one attained
+    lower_bound: float  # certified, of the optimum; if a probability is maximised, the attained one
     failure_price: (
         float | None
-    )  # lambda >= 0, or the penalty; None: there is none, at least failure
+    )  # lambda >= 0, or the penalty; None: no price exists, with least failure
     value_function: FloatArray | None  # sub-solution: [process states], or [layers, nodes]
     budget_used: float  # failure of the policy (discounted, if that is limited), as measured
     run: Run
@@ -98,11 +98,11 @@ class Solution(Facts, ReadOnlyCopies):
     status: Status = Status.OPTIMAL
     upper_bound: float | None = None  # of a greatest probability, certified; None for least costs
     prices: Mapping[str, float] = field(default_factory=dict)  # multiplier of each row, by name
-    least_failure_bound: float | None = None  # at least failure: certified, of every policy
+    least_failure_bound: float | None = None  # certified, of every policy; with least failure only
     granted: Mapping[str, float] = field(default_factory=dict)
-    """Bounds by name that lay below what is attainable by rounding, and count as equal to it."""
+    """Bounds by name that are infeasible only by rounding, raised to the least attainable value."""
     taken: Mapping[str, float] = field(default_factory=dict)
-    """Left side of each limited row as measured, where the method measures rows; by name."""
+    """Left side of each limited row as measured, by name, if the method measures rows."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "prices", ByName(self.prices))
@@ -112,7 +112,7 @@ class Solution(Facts, ReadOnlyCopies):
         """Evaluation of the solution's policy on the model, within the call's time or a second.
 
         Raises:
-            OutOfTimeError: it takes longer; ``evaluate(policy, problem)`` has all the time.
+            OutOfTimeError: it takes longer; ``evaluate(policy, problem)`` has no time limit.
         """
         limit = self.run.time_limit
         limit = None if limit is None else max(limit, _LEAST_LIMIT)
@@ -120,21 +120,21 @@ class Solution(Facts, ReadOnlyCopies):
 
     @cached_property
     def values(self) -> StateValues:
-        """The solution's state values, rows charged at ``prices``: ``values["depot"]``.
+        """The solution's state values, with rows charged at ``prices``: ``values["depot"]``.
 
-        Those of the problem's program (:meth:`ssp_lp.formulation.Formulation.program`), which is
-        made for it; actions have values and advantages, too.
+        They belong to the problem's program (:meth:`ssp_lp.formulation.Formulation.program`), which
+        is built for this purpose; actions have values and advantages, too.
 
         Raises:
-            ModelError: the criterion is no linear program, or the problem's class makes none.
+            ModelError: the criterion is no linear program, or the problem's class has none.
         """
         values: StateValues = self.problem.program().values_at(self.prices, self.objective)
         return values
 
     def policy_table(self) -> PolicyTable:
-        """The decisions that the solution's policy comes to from the start, the nearest first.
+        """Return the decisions that the solution's policy reaches from the start, nearest first.
 
-        ``solution.policy.table()`` has those of all states.
+        ``solution.policy.table()`` has the decisions of all states.
 
         Raises:
             ModelError: the policy is of a class whose memory is not known.
@@ -148,10 +148,10 @@ class Solution(Facts, ReadOnlyCopies):
 
         Args:
             state: of the model; of the product on (state, steps taken) with a horizon.
-            cost_paid: in case S the cost paid before; None: the least that the program has.
+            cost_paid: in case S the cost paid before; None: the least one in the program.
 
         Raises:
-            ModelError: the criterion is no linear program, or nothing is decided there.
+            ModelError: the criterion is no linear program, or the state has no decision.
 
         Example:
             >>> from ssp_lp import MCMP, SSP, solve
@@ -176,11 +176,11 @@ class Solution(Facts, ReadOnlyCopies):
         *,
         time_limit: float | None = None,
     ) -> WhatIf:
-        """Derivatives of the optimum by each probability, cost, bound and start: which matter?
+        """Return the derivatives of the optimum by each probability, cost, bound and start.
 
-        They follow from visits and values of the problem's program, which is solved for it. Where
-        lottery or prices are not the only optimal ones, the derivatives to the left and to the
-        right differ: the program is then solved four times for each number.
+        They follow from visits and values of the problem's program, which is solved for this
+        purpose. Where lottery or prices are not the only optimal ones, the derivatives to the left
+        and to the right differ: the program is then solved four times for each number.
 
         Args:
             by: maps a :class:`Number` to the group with which it moves, since one number of yours
@@ -213,18 +213,18 @@ class Solution(Facts, ReadOnlyCopies):
     def policy_everywhere(
         self, default: Default | None = None, *, least_after: Quantity | None = None
     ) -> MixedPolicy:
-        """The policy as one that acts in every state that has actions, reached by its plan or not.
+        """Return the policy extended to every state that has actions.
 
-        Where the plan has no decision, it takes what is best at the optimal price of failing, in
-        case M without giving up, or at least failure where there is no price: worked out when it
-        is asked for. What is done after giving up and in dead-ends is told by
-        :func:`ssp_lp.acting_everywhere`.
+        Where the plan has no decision, the policy takes the best action at the optimal price of
+        failing, in case M without giving up, or with least failure if there is no price; these are
+        computed on first use. :func:`ssp_lp.acting_everywhere` says what is done after giving up
+        and in dead-ends.
 
         Args:
-            default: comes before both: an action, for all states that have it, ``{state: action}``,
-                or a policy without memory; None: none.
-            least_after: what is done after giving up and in dead-ends makes the least of this
-                quantity, such as ``end_probability("crash")``, the plan being what it is.
+            default: takes precedence over both: an action, for all states that have it, ``{state:
+                action}``, or a policy without memory; None: none.
+            least_after: quantity, such as ``end_probability("crash")``, which actions after giving
+                up and in dead-ends minimise without changing the plan.
 
         Raises:
             ModelError: an unknown state or action, or a quantity that cannot change after failing.
@@ -234,7 +234,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @cached_property
     def _greedy(self) -> IntArray:
-        """A best pair of each state at the price of failing, [states]."""
+        """Best pair of each state at the price of failing, [states]."""
         model, semantics = self.problem.model, self.problem.semantics
         live = ~(dead_ends(model) | model.goal_mask)
         if not live.any():
@@ -254,7 +254,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def gap(self) -> float:
-        """The solution's relative gap between objective and bound; of least failure, if wider."""
+        """Relative gap between objective and bound, or of the least failure, if wider."""
         if self.upper_bound is not None:
             gap = relative_gap(self.upper_bound, self.objective)
         else:
@@ -263,10 +263,10 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def failure_gap(self) -> float:
-        """At least failure, the solution's goal probability below the greatest, relative; else 0.
+        """Relative gap of the goal probability to the greatest, with least failure; else 0.
 
-        The bound of the objective is one of the policies that fail least: where this gap is not 0
-        others may fail less.
+        The bound of the objective holds for policies that fail least: where this gap is not 0,
+        other policies may fail less.
         """
         bound = self.least_failure_bound
         return 0.0 if bound is None else gap_of_least_failure(self.budget_used, bound)
@@ -305,10 +305,9 @@ class Solution(Facts, ReadOnlyCopies):
     def budget_slope(self) -> float | None:
         """The solution's -d c* / d budget: the price in case M, price / (1 - budget) in case S.
 
-        Of what is to be large, how much it gains.
+        If a probability is maximised: its gain by the budget.
 
-        Of the price only what lies beyond the penalty. None where there is no price to pay or it is
-        infinite.
+        Only the price beyond the penalty counts. None where there is no price or it is infinite.
         """
         price, budget = self._multiplier, self.problem.failure_budget
         if price is None or budget is None or not self.problem.ratio:
@@ -328,8 +327,8 @@ class Solution(Facts, ReadOnlyCopies):
         """The solution's alpha*, weight of the objective MDP in the paper's game (section 3.2).
 
         Case M: c* / (c* + price * budget). Case S: c* (1 - e) / (c* (1 - e) + (c* + price) e) at
-        the failure e that attains the minimum. None where ``budget_slope`` is, and where there are
-        limits or a measure of the law of costs counts, which the game does not know.
+        the failure e that attains the minimum. None where ``budget_slope`` is, and for limits or a
+        measure of the law of costs, which the game does not support.
         """
         price, budget = self._multiplier, self.problem.failure_budget
         unknown = self.problem.has_rows or self.problem.semantics.counts_law
@@ -351,16 +350,16 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def seconds(self) -> float:
-        """Wall-clock seconds in which ``solve`` found the solution."""
+        """Wall-clock seconds that ``solve`` took for the solution."""
         return self.run.seconds
 
     @cached_property
     def randomised_policy(self) -> StochasticPolicy | MixedPolicy:
         """The stationary randomised policy equivalent to the solution's lottery (section 2.2).
 
-        It lives on the augmented states: the model's states in case M, (state, accumulated cost)
-        in case S, and spends the same expected time in each. Where totals are rounded to levels,
-        its cost differs from the lottery's by rounding. With a horizon it carries the time besides.
+        It acts on the augmented states (the model's states in case M, (state, accumulated cost) in
+        case S) and spends the same expected time in each. If totals are rounded to levels, its cost
+        differs from the lottery's by rounding. With a horizon it also carries the time.
         """
         policy = equivalent_randomised_policy(self.policy, self.problem)
         if policy.model is self.problem.model:
@@ -368,7 +367,7 @@ class Solution(Facts, ReadOnlyCopies):
         return pulled_back(as_lottery(policy), self.problem)
 
     def __repr__(self) -> str:
-        """One line: what was asked, the objective with its gap, the failure, and the method."""
+        """Return a line with the problem, the objective, its gap, the failure and the method."""
         failure = "failure" if self.problem.discount is None else "discounted failure"
         return (
             f"Solution({self._title}: objective {self.objective:.9g}, gap {self.gap:.1e}, "
@@ -377,7 +376,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def _title(self) -> str:
-        """Title of a solution's summary: criterion, failure asked about, discount."""
+        """Title of a solution's summary: criterion, limit on failing, discount."""
         discount = self.problem.discount
         setting = "exact" if discount is None else f"discount {discount:g}"
         horizon = self.problem.horizon
@@ -385,7 +384,7 @@ class Solution(Facts, ReadOnlyCopies):
         return f"{type(self.problem).__name__}, {self._asked}{within}, {setting}"
 
     def tables(self) -> list[Table]:
-        """One table of facts: both sides, how the policy fails, costs, prices, and the method."""
+        """Return a table of objective, bounds, ways of failing, costs, prices and method."""
         failing, limits = failing_in_words(self.evaluation.ends), self.secondary_costs.items()
         bound = self.upper_bound
         side, bound = ("lower", self.lower_bound) if bound is None else ("upper", bound)
@@ -412,7 +411,7 @@ class Solution(Facts, ReadOnlyCopies):
         return [Table(facts, title=self._title, digits={"objective c*": 9, f"{side} bound": 9})]
 
     def _giving_up(self) -> str:
-        """Row of the summary on giving up by choice: how often, where first, what forbids it."""
+        """Return the summary's row on giving up by choice: share, first place and remedy."""
         share = self.evaluation.ends.get("gave_up", 0.0)
         if share <= 0.0 or self.problem.semantics.give_up is GiveUp.DEAD_ENDS:
             return ""
@@ -436,17 +435,17 @@ class Solution(Facts, ReadOnlyCopies):
 
 
 def _least_after(model: SSP, quantity: Quantity) -> IntArray:
-    """Pairs that make the least of a quantity after failing, UNDECIDED where any do, [states].
+    """Return the pairs that minimise a quantity after failing; UNDECIDED: any do, [states].
 
     Raises:
-        ModelError: the quantity does not count what comes after failing, or nothing can come.
+        ModelError: the quantity counts nothing after failing, or nothing can follow failing.
     """
     live, failing = ~model.goal_mask, FailureSemantics()
     asked = objective_of(model, live / max(live.sum(), 1), quantity)
     label = labelled_past_failing(model, (), asked, failing, ratio=False, discount=None)
     if label is None:
         raise ModelError(
-            "the quantity counts nothing that may come after failing: ask for an end, or for "
+            "the quantity counts nothing that may come after failing: use an end probability, or "
             "visits or a cost with through_failure=True"
         )
     begins = label.after & ~label.ended & label.finite[0]
@@ -463,36 +462,36 @@ def _least_after(model: SSP, quantity: Quantity) -> IntArray:
     return decision
 
 
-_ALL_FREE = "none: every step costs 0, so that only failing tells policies apart"
+_ALL_FREE = "none: every step costs 0, so that policies differ only in failing"
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A method's answer, in terms of what it minimises."""
+    """A method's answer, in terms of the quantity that it minimises."""
 
     policy: MixedPolicy | Policy
     value: float
-    bound: float  # no policy that keeps to the limits has less; rounding above the value is cut
+    bound: float  # of all policies that satisfy the limits; at most the value
     failure: float  # of the policy
-    price: float | None = None  # multiplier of the failure row; None where there is none
+    price: float | None = None  # multiplier of the failure row; None if it has none
     values: FloatArray | None = None  # the checked sub-solution
     prices: Mapping[str, float] = field(default_factory=dict)  # multipliers of all rows, by name
     note: str = ""
-    least_failure_bound: float | None = None  # at least failure: of every policy's failure
-    granted: Mapping[str, float] = field(default_factory=dict)  # bounds that count, if others do
+    least_failure_bound: float | None = None  # of every policy's failure, with least failure
+    granted: Mapping[str, float] = field(default_factory=dict)  # bounds that count, if raised
     taken: Mapping[str, float] = field(default_factory=dict)  # of the limited rows, if measured
 
 
 def assembled(
     problem: Problem, found: Answer, run: Run, sense: ObjectiveSense = AS_ASKED
 ) -> Solution:
-    """The solution, assembled in the problem's own terms.
+    """Return the solution, in the terms of the problem as stated.
 
     Args:
         problem: the problem.
-        found: what was found.
-        run: how.
-        sense: how what was minimised stands for what is asked.
+        found: the method's answer.
+        run: the method and its work.
+        sense: relation between the minimised quantity and the objective of the problem.
 
     Raises:
         SolverError: the bound lies above the value by more than rounding.
@@ -524,10 +523,10 @@ def assembled(
 
 
 def as_solved(solution: Solution, verb: str) -> Solution:
-    """The solution of the problem that is solved: with a horizon that on (state, steps taken).
+    """Return the solution of the problem that is solved: with a horizon on (state, steps taken).
 
     Raises:
-        ModelError: it is no solution; ``verb`` is what was to be done with it.
+        ModelError: no solution; ``verb`` names the function that was called.
     """
     if not isinstance(solution, Solution):
         raise ModelError(f"{verb} takes a solution, such as solve(problem): {in_short(solution)}")
@@ -536,31 +535,31 @@ def as_solved(solution: Solution, verb: str) -> Solution:
 
 
 def gap_of_least_failure(failure: float, bound: float | None) -> float:
-    """Relative gap of a solution's goal probability at least failure; 0 but for rounding is 0.
+    """Return the relative gap of a goal probability with least failure; 0 up to rounding is 0.
 
     Args:
         failure: of the policy.
-        bound: of every policy's failure; None: least failure is not asked for.
+        bound: of every policy's failure; None: the problem does not ask for least failure.
     """
     proved = failure if bound is None else bound
     return relative_gap(1.0 - proved, 1.0 - failure) if failure - proved > _ROUNDED else 0.0
 
 
 def unproved_failure(failure: float, bound: float | None) -> str:
-    """Interval of the least failure in words; empty where it is proved or not asked for."""
+    """Return the interval of the least failure in words; empty if proved or not needed."""
     if bound is None or gap_of_least_failure(failure, bound) <= PROVED_OF_MANY:
         return ""
     return f"between {bound:.9g} and {failure:.9g}, not proved further"
 
 
-_ROUNDED = 1e-14  # of probabilities: what their sums and differences lose
+_ROUNDED = 1e-14  # of probabilities: error of their sums and differences
 
 CUT_SHORT = "stopped before the tolerance was met; the gap is honest"
-"""Said of every search that ran out of time, or was interrupted."""
+"""Note on every search that ran out of time, or was interrupted."""
 
 
 def remarks(problem: Problem, granted: float, finished: bool) -> str:
-    """Remarks on a solution: a budget raised to the least failure, a search cut short."""
+    """Return the notes on a solution: a budget raised to the least failure, a search cut short."""
     budget, notes = problem.failure_budget, [CUT_SHORT] * (not finished)
     if budget is not None and granted > budget and not isinstance(budget, GoalShare):
         below = f"{granted - budget:.1e} below the least failure"

@@ -1,4 +1,4 @@
-"""The one verb: solve a problem by a method and hand back a proved solution."""
+"""``solve``: solve a problem by a method and return a proved solution."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from ssp_lp.reductions.exploration import explore
 from ssp_lp.reductions.robust import robust
 from ssp_lp.solution import Solution
 
-_ROUNDING = 1e-12  # of sums of probabilities, and of a row's own size
+_ROUNDING = 1e-12  # of sums of probabilities, and of a row relative to its size
 _SEARCH, _PROOF = logging.getLogger("ssp_lp.search"), logging.getLogger("ssp_lp.proof")
 
 
@@ -55,27 +55,27 @@ def solve(
 
     Args:
         problem: a formulation, such as ``MCMP(...)`` or ``S3P(...)``.
-        method: ``ColumnGeneration()``, which is taken where nothing is said,
-            ``LinearProgramming(backend)``, ``Game()`` or ``DeterministicPolicies(...)``; or the
-            name of one with its defaults: "columns", "lp", "game", "deterministic".
+        method: ``ColumnGeneration()`` (the default), ``LinearProgramming(backend)``, ``Game()`` or
+            ``DeterministicPolicies(...)``; or the name of one with its defaults: "columns", "lp",
+            "game", "deterministic".
         tolerance: relative gap to reach.
-        time_limit: seconds after which the best policy so far is returned with its certified
-            gap, if any that keeps to all limits has been found. Ctrl-C does the same at once;
-            ``Solution.status`` says what ended the call.
+        time_limit: seconds after which the best policy so far is returned with its certified gap,
+            if one that satisfies all limits was found. Ctrl-C has the same effect at once;
+            ``Solution.status`` says why the call ended.
         progress: called after each pricing call with (calls, failure price, objective).
         verbose: show each phase and how far it has come (``progress_shown``).
 
     Returns:
-        The solution; its numbers are recomputed from the model. Of what is to be large the
-        certified side is ``upper_bound``, of everything else ``lower_bound``.
+        The solution, with every number recomputed from the model. ``upper_bound`` is the certified
+        bound if a probability is maximised, ``lower_bound`` in all other problems.
 
     Raises:
-        ModelError: a wrong argument, or a method that does not know such problems.
-        InfeasibleError: the budget is below the least failure probability, which it carries, a
-            constraint cannot be kept, or failing is forbidden and cannot be avoided.
-        SolverError: the method delivered nothing that passes its check.
-        OutOfTimeError: the time limit passed before there was a policy to hand back.
-        KeyboardInterrupt: Ctrl-C came before there was one.
+        ModelError: a wrong argument, or a method that does not support the problem.
+        InfeasibleError: the budget is below the least failure probability, which the error carries,
+            a constraint cannot be satisfied, or failing is forbidden and cannot be avoided.
+        SolverError: the method's answer does not pass its check.
+        OutOfTimeError: the time limit passed before a policy was found.
+        KeyboardInterrupt: Ctrl-C came before a policy was found.
     """
     check_problem(problem, "solve")
     if isinstance(problem.model, ImplicitSSP):
@@ -102,7 +102,7 @@ def solve(
 
 
 def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) -> Solution:
-    """Answer of ``solve`` to the problem that is solved, checked."""
+    """Return the checked answer of ``solve`` to the problem that is solved."""
     solution: Solution | None = None
     too_large: ModelError | None = None
     incumbent, inner = Incumbent(problem, options.deterministic), problem
@@ -116,12 +116,12 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
             except ModelError as error:
                 if not case.asks.is_risk:
                     raise
-                too_large = error  # a table of totals: what is in hand is the answer
+                too_large = error  # a table of totals: return the incumbent
         if solution is None or not isfinite(solution.objective):
             with WithIncumbent(), closing():
                 incumbent.find()
             if solution is None or incumbent.solution is None:
-                solution = incumbent.solution  # else it keeps its bound, and gets that policy below
+                solution = incumbent.solution  # or keep its bound, with that policy below
         if solution is None:
             raise too_large or _error_without_answer(problem, deadline, search.stop) from None
         if inner.failure_budget is None and solution.least_failure_bound is None:
@@ -156,7 +156,7 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
 
 
 def _redundant_budget(budget: float | None, limit: Condition) -> str:
-    """Note on a failure budget that no policy within a limit uses up; "" where one may."""
+    """Return a note on a failure budget that no policy within a limit uses up; else empty."""
     least = limit.least_goal
     if budget is None or budget >= 1.0 or least <= 1.0 - budget + LEAST_BUDGET:
         return ""
@@ -167,7 +167,7 @@ def _redundant_budget(budget: float | None, limit: Condition) -> str:
 def _error_without_answer(
     problem: Problem, deadline: Deadline, stop: BaseException | None
 ) -> BaseException:
-    """The error of ``solve`` where the time ended before there was an answer."""
+    """Return the error of ``solve`` if the time ended before a policy was found."""
     progress = stop.told if isinstance(stop, Stop) else ""
     if deadline.is_interrupted:
         return interrupted(progress)
@@ -175,20 +175,20 @@ def _error_without_answer(
     size = f"the model has {model.n_states:,} states and {model.n_outcomes:,} outcomes"
     return OutOfTimeError(
         f"the time limit of {max(deadline.at - deadline.began, 0.0):.3g} s ended before a policy "
-        f"that keeps to all limits was found ({progress}; {size}): allow more time"
+        f"that satisfies all limits was found ({progress}; {size}): allow more time"
     )
 
 
 def _check_solution(solution: Solution, deadline: float | None) -> None:
-    """Check what every answer of ``solve`` must satisfy, whoever found it.
+    """Check the properties that every answer of ``solve`` must have, by whatever method.
 
     Args:
         solution: the answer.
         deadline: until when its policy may be evaluated for its limits; None: there is no time.
 
     Raises:
-        SolverError: a probability outside [0, 1], a budget or a limit that is not kept, weights
-            that are no lottery, or a value that is no number.
+        SolverError: a probability outside [0, 1], a violated budget or limit, weights that are no
+            lottery, or a value that is not a number.
     """
     budget, used = solution.problem.failure_budget, solution.budget_used
     weights = solution.policy.weights.tolist()
@@ -211,7 +211,7 @@ def _check_solution(solution: Solution, deadline: float | None) -> None:
                 )
     if not taken and solution.problem.conditions and deadline is not None and not faults:
         left = deadline - time.perf_counter()
-        with suppress(OutOfTimeError, ModelError):  # a law that is too long to be told
+        with suppress(OutOfTimeError, ModelError):  # a law with too many totals
             limit = left if isfinite(left) else None
             evaluation = evaluate(solution.policy, solution.problem, time_limit=limit)
             broken = broken_limit(solution.problem, evaluation, granted=granted)

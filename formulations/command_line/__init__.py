@@ -1,11 +1,11 @@
-"""The command ``ssp-lp``: models in files, the best policies in them, and what those do.
+"""The command ``ssp-lp``: solve, check, draw and simulate models in files.
 
-``ssp-lp --help`` lists the commands, ``ssp-lp solve --help`` says with examples what one takes. It
-ends with 0, with 2 for wrong arguments or models, with 3 where no policy keeps to the budget, with
-1 where a method failed, and with 130 or 141 where it was interrupted or nobody reads on.
+``ssp-lp --help`` lists the commands, ``ssp-lp solve --help`` explains one of them with examples.
+The exit code is 0 for success, 1 if a method failed, 2 for wrong arguments or models, 3 if the
+problem is infeasible, 130 after Ctrl-C, and 141 if the reader of the output closed it.
 
 The commands are imported once the arguments are parsed: the library takes longer to load than most
-commands take, and help is to come at once.
+commands take, and help should appear at once.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from collections.abc import Sequence
 from .arguments import argument_parser
 
 FAILED, WRONG_INPUT, INFEASIBLE, INTERRUPTED, UNREAD = 1, 2, 3, 130, 141
-"""Exit codes besides 0; the last two are a shell's for SIGINT and SIGPIPE."""
+"""Exit codes for failures; the last two are a shell's for SIGINT and SIGPIPE."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; the exit code.
+    """Run the command line and return its exit code.
 
     Args:
-        arguments: those of the command line, if left out.
+        arguments: words of the command line; None: those of the process.
     """
     try:
         return _run_command(argument_parser().parse_args(arguments))
     except KeyboardInterrupt as stop:
         return _tell(str(stop) or "interrupted before there was an answer", INTERRUPTED)
-    except BrokenPipeError:  # what is left would be flushed at exit, and complained of
+    except BrokenPipeError:  # flushing the rest at exit would print a complaint
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNREAD
 
 
 def _run_command(asked: Namespace) -> int:
-    """Run the command that the command line asks for; its exit code."""
+    """Run the command in the parsed arguments and return its exit code."""
     from ssp_lp import progress_shown
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
 
@@ -64,11 +64,11 @@ def _run_command(asked: Namespace) -> int:
 
 
 def _warn_on_command_line(message: Warning | str, *_: object, **__: object) -> None:
-    """Write a warning on the standard error of the command line."""
+    """Write a warning to the standard error of the command line."""
     _tell(f"warning: {message}")
 
 
 def _tell(words: str, code: int = 0) -> int:
-    """Print a message that is no answer on the command line; its exit code."""
+    """Print a message of the command line to standard error and return its exit code."""
     print(f"ssp-lp: {words}", file=sys.stderr)
     return code

@@ -1,4 +1,4 @@
-"""What each command takes. Nothing of the library is imported here, so that help comes at once."""
+"""Arguments of each command. The library is not imported here, so that help appears at once."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ CRITERIA = {
     for name, page in PAGES.items()
     if name not in {"ConstrainedCost", "GUBS"}  # MCMP with --limit, and a function of the cost
 }
-"""The criteria by their names in a shell, which are those of their pages."""
+"""Names of criteria in a shell, which are those of their modules, and their classes."""
 
 _FILES = {"bash": "_shtab_compgen_files", "zsh": "_files", "tcsh": "f"}
-"""What completes the name of a file, as shtab's ``FILE`` has it."""
+"""Completion functions of shells for a file's name, as in shtab's ``FILE``."""
 
 
 class Parameter(NamedTuple):
-    """A command-line argument of a criterion, an argument of its class."""
+    """A command-line argument that stands for an argument of a criterion's class."""
 
     help: str
     type: Callable[[str], Any] = bool  # bool: the flag, or the flag after --no-
@@ -38,10 +38,10 @@ class Parameter(NamedTuple):
 
 
 def number_argument(text: str) -> Fraction:
-    """A number as it is written: 0.1 is a tenth, 5% a twentieth, 1/3 a third.
+    """Return the exact number of a text: 0.1 is a tenth, 5% a twentieth, 1/3 a third.
 
     Raises:
-        ArgumentTypeError: no number that a float can stand for.
+        ArgumentTypeError: no number that fits a float.
     """
     plain, percent, rest = text.partition("%")
     try:
@@ -53,43 +53,43 @@ def number_argument(text: str) -> Fraction:
         if rest:
             raise ValueError
     except (ValueError, ZeroDivisionError, OverflowError):
-        raise ArgumentTypeError(f"{text!r} is no number that a float can stand for") from None
+        raise ArgumentTypeError(f"{text!r} is no number that fits a float") from None
     return number / 100 if percent else number
 
 
 def _float_argument(text: str) -> float:
-    """A number, 0.05 or 5%."""
+    """Return a number, 0.05 or 5%."""
     return float(number_argument(text))
 
 
 def _number_or_none(text: str) -> float | None:
-    """A command-line argument that is a number, or none."""
+    """Return a command-line argument that is a number, or "none"."""
     return None if text == "none" else _float_argument(text)
 
 
 def _budgets_argument(text: str) -> float | list[float | None] | None:
-    """A command-line argument that is a number or none; several, with commas between, in a list."""
+    """Return a command-line argument that is a number or "none", or a list with commas."""
     several = [_number_or_none(one) for one in text.split(",")]
     return several if len(several) > 1 else several[0]
 
 
 def _criterion_argument(text: str) -> str:
-    """The criterion that is meant: ``min-cost``, ``MinCost`` and ``min_cost`` are one."""
+    """Return the criterion that a text names: ``min-cost``, ``MinCost`` or ``min_cost``."""
     letters = re.sub("[-_]", "", text).lower()
     return next((name for name in CRITERIA if name.replace("-", "") == letters), text)
 
 
 def _steps_argument(text: str) -> int | str | None:
-    """The command-line argument for a horizon: a number of steps, none, or "env"."""
+    """Return the command-line argument for a horizon: a number of steps, None, or "env"."""
     if text in ("env", "none"):
         return text if text == "env" else None
     if text.isdecimal():
         return int(text)
-    raise ArgumentTypeError(f"{text!r} is no number of steps, nor none")
+    raise ArgumentTypeError(f"{text!r} is neither a number of steps nor none")
 
 
 def option(name: str, value: object = ...) -> str:
-    """The command-line argument of a Python argument: ``--discount 0.9``, ``--no-check``."""
+    """Return the command-line argument of a Python argument: ``--discount 0.9``, ``--no-check``."""
     flag = name.replace("_", "-")
     if isinstance(value, bool):
         return f"--{flag}" if value else f"--no-{flag}"
@@ -98,28 +98,28 @@ def option(name: str, value: object = ...) -> str:
 
 PARAMETERS = {
     "failure_budget": Parameter(
-        "largest failure probability, or none: the least; left out mostly the least; several, "
+        "largest failure probability; none, the default of most criteria: the least one; several, "
         "0.01,0.05, make a table of solve",
         _budgets_argument,
         "P[,P]",
     ),
     "reach_fraction": Parameter(
-        "share of the greatest goal probability to keep", _float_argument, "SHARE"
+        "share of the greatest goal probability to attain at least", _float_argument, "SHARE"
     ),
-    "penalty": Parameter("what failing costs", _float_argument, "COST"),
-    "level": Parameter("of the quantile or the tail, such as 0.95", _float_argument, "P"),
-    "cost_bound": Parameter("the total cost to keep to", number_argument, "COST"),
-    "cost_budget": Parameter("the expected cost to keep to", _float_argument, "COST"),
-    "risk_factor": Parameter("of the exponential utility, < 0 to shun risk", _float_argument, "X"),
+    "penalty": Parameter("cost of failing", _float_argument, "COST"),
+    "level": Parameter("level of the quantile or the tail, such as 0.95", _float_argument, "P"),
+    "cost_bound": Parameter("greatest total cost", number_argument, "COST"),
+    "cost_budget": Parameter("greatest expected cost", _float_argument, "COST"),
+    "risk_factor": Parameter("exponential utility, < 0: averse to risk", _float_argument, "X"),
     "goal_bonus": Parameter("utility of the goal itself", _float_argument, "X"),
-    "quantity": Parameter("what is to be least, as in --limit", str, "QUANTITY"),
+    "quantity": Parameter("quantity to minimise, as in --limit", str, "QUANTITY"),
     "discount": Parameter("of the paper's surrogate, in (0, 1), or none", _number_or_none, "GAMMA"),
-    "give_up": Parameter("where: anywhere, attention (states), dead_ends", str, "WHERE"),
-    "charge_failing_step": Parameter("whether the failing step is paid"),
-    "cost_cap": Parameter("tell costs apart up to here", _float_argument, "COST"),
-    "cost_levels": Parameter("tell so many costs apart", int, "N"),
+    "give_up": Parameter("giving up: anywhere, attention (states), dead_ends", str, "WHERE"),
+    "charge_failing_step": Parameter("pay for the failing step"),
+    "cost_cap": Parameter("distinguish total costs up to this one", _float_argument, "COST"),
+    "cost_levels": Parameter("number of total costs to distinguish", int, "N"),
 }
-"""The arguments of criteria, by name; which of them one takes and needs, its class says."""
+"""Arguments of criteria, by name; each class says which of them it takes and needs."""
 
 _MODEL_HELP = """\
 MODEL is a file (.json, .csv, .drn, .umb, .npz, through Storm .prism, .nm, .pm, .jani; also
@@ -130,7 +130,7 @@ is a dead-end."""
 
 
 class _Version(Action):
-    """Print the version, for which the library is loaded."""
+    """Action that prints the version, for which the library is loaded."""
 
     def __call__(self, parser: ArgumentParser, *_: Any) -> NoReturn:
         from ssp_lp import __version__
@@ -140,7 +140,7 @@ class _Version(Action):
 
 
 class _Completion(Action):
-    """Print what makes a shell complete the command, for which ``shtab`` is loaded."""
+    """Action that prints the completion script of a shell, for which ``shtab`` is loaded."""
 
     def __call__(self, parser: ArgumentParser, _: object, shell: Any, *rest: object) -> NoReturn:
         from ssp_lp.errors import MissingDependencyError, optional_module
@@ -153,10 +153,10 @@ class _Completion(Action):
 
 
 class _OneLineParser(ArgumentParser):
-    """A parser whose errors are one line, without the usage, which ``--help`` has."""
+    """A parser whose errors are one line, without the usage, which ``--help`` shows."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """Parse arguments; those that there are not are named, with what was meant."""
+        """Parse arguments; an error names an unknown one and the likely one."""
         asked, unknown = super().parse_known_args(args, namespace)
         if unknown:
             if unknown[0][:1] != "-":
@@ -172,7 +172,7 @@ class _OneLineParser(ArgumentParser):
         return asked, unknown
 
     def _check_value(self, action: Action, value: Any) -> None:
-        """Raise ArgumentError for a word of the command line that is not among those to choose."""
+        """Raise ArgumentError for a word of the command line that is not one of the choices."""
         if action.choices is not None and value not in action.choices:
             from ssp_lp.errors import did_you_mean
 
@@ -181,17 +181,17 @@ class _OneLineParser(ArgumentParser):
             raise ArgumentError(action, f"there is no {value!r}{nearest}")
 
     def error(self, message: str) -> NoReturn:
-        """End with what is wrong and where help is."""
+        """Exit with the error and a hint at ``--help``."""
         self.exit(2, f"{self.prog}: {message} ({self.prog} --help)\n")
 
 
 def _as_name(flag: str) -> str:
-    """The Python argument of a command-line argument."""
+    """Return the Python name of a command-line argument."""
     return flag.lstrip("-").replace("-", "_")
 
 
 def argument_parser() -> ArgumentParser:
-    """The parser of the command line's arguments; what it parses has the command's name."""
+    """Return the parser of the command line; its result has the name of the command."""
     whole = _OneLineParser(
         prog="ssp-lp",
         formatter_class=RawDescriptionHelpFormatter,
@@ -225,11 +225,11 @@ def argument_parser() -> ArgumentParser:
 
 
 Options = dict[str, dict[str, Any]]
-"""Arguments of the command line by name, each with its settings in argparse's words."""
+"""Arguments of the command line by name, each with argparse's settings."""
 
 
 def _add_all(place: Any, options: Options) -> None:
-    """Add arguments to a parser or a group of it; shells complete those that are files by name."""
+    """Add arguments to a parser or group; the shells' completion knows those that are files."""
     for name, settings in options.items():
         added = place.add_argument(name, **settings)
         if settings.get("metavar") in ("MODEL", "FILE"):
@@ -237,18 +237,18 @@ def _add_all(place: Any, options: Options) -> None:
 
 
 def _taken(said: str, metavar: str, kind: Callable[[str], Any] = str, **more: Any) -> Any:
-    """Settings of an argument of the command line that takes a word."""
+    """Return the settings of an argument of the command line that takes a word."""
     return {"help": said, "metavar": metavar, "type": kind, **more}
 
 
 def _switch(said: str, **more: Any) -> Any:
-    """Settings of an argument of the command line that is there or not."""
+    """Return the settings of a flag of the command line."""
     return {"help": said, "action": "store_true", **more}
 
 
 _QUESTION: Options = {
     "--criterion": _taken(
-        f"mcmp if left out; or {', '.join(name for name in CRITERIA if name != 'mcmp')}", "NAME",
+        f"mcmp (default), {', '.join(name for name in CRITERIA if name != 'mcmp')}", "NAME",
         _criterion_argument, choices=tuple(CRITERIA), default="mcmp",
     ),
     "--property": _taken(
@@ -268,7 +268,7 @@ _QUESTION: Options = {
     ),
 }  # fmt: skip
 
-_JSON: Options = {"--json": _switch("for other programs")}
+_JSON: Options = {"--json": _switch("print JSON, for other programs")}
 
 _ALONE: Options = {
     "--version": {"action": _Version, "nargs": 0, "help": "print the version and exit"},
@@ -279,8 +279,8 @@ _ALONE: Options = {
 }  # fmt: skip
 
 _TOLD: Options = {
-    "--verbose": _switch("each phase, in lines that stay"),
-    "--quiet": _switch("say nothing on the way"),
+    "--verbose": _switch("print each phase on a line of its own"),
+    "--quiet": _switch("print no progress"),
 }
 
 _MODEL: Options = {
@@ -289,11 +289,11 @@ _MODEL: Options = {
         "states (or their label) that may lack actions; any other one is then an error", "STATE",
         nargs="+",
     ),
-    "--start": _taken("where an episode begins", "STATE"),
-    "--cost": _taken("which of the model's costs counts", "NAME"),
-    "--constants": _taken("what a program leaves open", "N=5,..."),
+    "--start": _taken("state in which an episode begins", "STATE"),
+    "--cost": _taken("name of the cost that counts", "NAME"),
+    "--constants": _taken("constants that a program leaves open", "N=5,..."),
     "--horizon": _taken(
-        "reach the goal within N steps; an environment's own limit if left out, or none", "N",
+        "reach the goal within N steps; default: an environment's own limit, or none", "N",
         _steps_argument, default="env",
     ),
 }  # fmt: skip
@@ -303,16 +303,16 @@ _SOLVE: dict[str, Options] = {
     "the question": _QUESTION,
     "the search": {
         "--method": _taken(", ".join(_METHODS), "NAME", choices=_METHODS),
-        "--tolerance": _taken("relative gap; 1e-9", "GAP", float, default=1e-9),
-        "--time-limit": _taken("then the best so far", "SECONDS", float),
+        "--tolerance": _taken("relative gap to reach; 1e-9", "GAP", float, default=1e-9),
+        "--time-limit": _taken("time limit; then the best policy so far", "SECONDS", float),
     },
     "the answer": {
         "--policy-out": _taken(
             "write the policy: .npz to load again, .json for a controller, .h for C, .csv", "FILE"
         ),
-        "--show-policy": _switch("print what the policy does, where it comes to from the start"),
+        "--show-policy": _switch("print the decisions that the policy reaches from the start"),
         "--everywhere": _switch(
-            "the policy that is written acts in every state, planned or not, failed or not"
+            "write a policy that acts in every state, planned or not, failed or not"
         ),
         "--certificate-out": _taken("write a proof of the answer, for ssp-lp check", "FILE"),
         "--plot": _taken("draw the law of the total cost", "FILE"),
@@ -322,46 +322,46 @@ _SOLVE: dict[str, Options] = {
 
 _TRACE: Options = {
     "--over": _taken(
-        "the limit to trace, by its words: failure if left out; other limits are kept", "NAME",
+        "the limit to trace, as given to --limit; default: failure; other limits stay", "NAME",
         default="failure",
     ),
-    "--gap": _taken("how near; 1e-9", "GAP", float, default=1e-9),
-    "--point-limit": _taken("at most so many turning points", "N", int),
-    "--time-limit": _taken("then what is there", "SECONDS", float),
+    "--gap": _taken("relative gap to reach; 1e-9", "GAP", float, default=1e-9),
+    "--point-limit": _taken("greatest number of turning points", "N", int),
+    "--time-limit": _taken("time limit; then the frontier so far", "SECONDS", float),
 }  # fmt: skip
 
 _EXPLORE: Options = {
-    "--point-limit": _taken("at most so many turning points; 50", "N", int, default=50),
-    "--out": _taken("the page: .html", "FILE", required=True),
-    "--seed": _taken("of the sample runs; 0", "N", int, default=0),
+    "--point-limit": _taken("greatest number of turning points; 50", "N", int, default=50),
+    "--out": _taken("file of the page: .html", "FILE", required=True),
+    "--seed": _taken("seed of the sample runs; 0", "N", int, default=0),
 }
 
 _SIMULATE: Options = {
-    "--policy": _taken("of solve --policy-out", "FILE", required=True),
-    "--episodes": _taken("10,000", "N", int, default=10_000),
-    "--seed": _taken("0", "N", int, default=0),
-    "--max-steps": _taken("10,000", "N", int, default=10_000),
-    "--confidence": _taken("0.95", "P", float, default=0.95),
+    "--policy": _taken("file of solve --policy-out", "FILE", required=True),
+    "--episodes": _taken("number of episodes; 10,000", "N", int, default=10_000),
+    "--seed": _taken("seed; 0", "N", int, default=0),
+    "--max-steps": _taken("steps of an episode at most; 10,000", "N", int, default=10_000),
+    "--confidence": _taken("confidence level; 0.95", "P", float, default=0.95),
     "--check": _switch(
-        "whether the policy must be of this very model, the default", default=True,
+        "require that the policy was made for this model (default)", default=True,
         action=BooleanOptionalAction,
     ),
 }  # fmt: skip
 
 
 class Verb(NamedTuple):
-    """A command of the command line: what it is for, what it takes, and how it is used."""
+    """A command of the command line: its purpose, its arguments, and examples."""
 
     purpose: str
-    takes: dict[str, Options]  # by the title of their group; "": without one
-    examples: str  # run as they stand, given the file roads.json of the page on the command line
+    takes: dict[str, Options]  # by the title of their group; "": without a group
+    examples: str  # complete commands, for the file roads.json in the guide to the command line
     takes_model: bool = True
-    forms: Options = {}  # of the answer, of which there may be one
+    forms: Options = {}  # of the answer, mutually exclusive
 
 
 VERBS = {
     "solve": Verb(
-        "the best policy within a failure budget, and its proof",
+        "find the best policy within a failure budget, and its proof",
         _SOLVE,
         """\
   ssp-lp solve roads.json --goal home --start depot --failure-budget 0.05
@@ -373,11 +373,11 @@ VERBS = {
   ssp-lp solve gym:FrozenLake-v1 --criterion cost-bounded-reach --cost-bound 40""",
     ),
     "check": Verb(
-        "check a certificate by exact inequalities: between which numbers the optimum lies",
+        "check a certificate with exact arithmetic and print the interval of the optimum",
         {
             "": {
-                "certificate": _taken("of solve --certificate-out", "FILE"),
-                "--model": _taken("your own model, of which you ask what follows", "MODEL"),
+                "certificate": _taken("file of solve --certificate-out", "FILE"),
+                "--model": _taken("your own model, to state the question about it", "MODEL"),
             },
             "the question": _QUESTION,
             "the model": _MODEL,
@@ -389,7 +389,7 @@ VERBS = {
         takes_model=False,
     ),
     "frontier": Verb(
-        "the least cost for every failure budget at once",
+        "trace the least cost as a function of the failure budget",
         {
             "the question": _QUESTION,
             "": _TRACE | {"--plot": _taken("draw it, with the budget and its tangent", "FILE")},
@@ -399,38 +399,38 @@ VERBS = {
   ssp-lp frontier roads.json --goal home --start depot --criterion s3p --csv frontier.csv
   ssp-lp frontier roads.json --goal home --start depot --failure-budget 0.05 --plot frontier.png
   ssp-lp frontier roads.json --goal home --start depot --limit "cost <= 9" --over cost""",
-        forms=_JSON | {"--csv": _taken("for tables; into a file", "FILE", nargs="?", const="-")},
+        forms=_JSON | {"--csv": _taken("print CSV, or write a file", "FILE", nargs="?", const="-")},
     ),
     "what-if": Verb(
-        "which number matters: derivatives of the optimum by every probability, cost and bound",
+        "rank the numbers: derivatives of the optimum by every probability, cost and bound",
         {
             "the question": _QUESTION,
             "": {
                 "--plot": _taken("draw a tornado of the numbers that matter most", "FILE"),
-                "--time-limit": _taken("then the derivatives so far", "SECONDS", float),
+                "--time-limit": _taken("limit; then the derivatives so far", "SECONDS", float),
             },
         },
         """\
   ssp-lp what-if roads.json --goal home --start depot --failure-budget 0.05
   ssp-lp what-if roads.json --goal home --start depot --criterion maxprob --plot tornado.png""",
-        forms=_JSON | {"--csv": _taken("for tables; into a file", "FILE", nargs="?", const="-")},
+        forms=_JSON | {"--csv": _taken("print CSV, or write a file", "FILE", nargs="?", const="-")},
     ),
     "explore": Verb(
-        "a page of HTML with a slider along the frontier",
+        "write a page of HTML with a slider along the frontier",
         {"the question": _QUESTION, "": _TRACE | _EXPLORE},
         """\
   ssp-lp explore roads.json --goal home --start depot --failure-budget 0.05 --out roads.html
   ssp-lp explore gym:FrozenLake-v1 --horizon none --out lake.html""",
     ),
     "program": Verb(
-        "the linear program of a criterion, shown or written",
+        "print or write the linear program of a criterion",
         {"the question": _QUESTION, "": {"--out": _taken("write it: .mps or .lp", "FILE")}},
         """\
   ssp-lp program roads.json --goal home --start depot --failure-budget 0.05
   ssp-lp program roads.json --goal home --start depot --failure-budget 0.05 --out roads.mps""",
     ),
     "simulate": Verb(
-        "play a saved policy, with confidence intervals",
+        "simulate a saved policy, with confidence intervals",
         {"": _SIMULATE | _JSON},
         """\
   ssp-lp simulate roads.json --goal home --start depot --policy policy.npz --seed 7
@@ -438,18 +438,18 @@ VERBS = {
   ssp-lp simulate gym:FrozenLake-v1 --policy lake.npz --episodes 500""",
     ),
     "info": Verb(
-        "what a model holds, and how little can fail in it",
+        "print a model's sizes, costs and least failure probability",
         {"": _JSON},
         """\
   ssp-lp info roads.json --goal home --start depot
   ssp-lp info gym:FrozenLake-v1 --horizon none --json""",
     ),
     "convert": Verb(
-        "a model from one format into another",
-        {"": {"target": _taken("a file, or - for JSON to read on", "TARGET")}},
+        "convert a model from one format into another",
+        {"": {"target": _taken("a file, or - for JSON on standard output", "TARGET")}},
         """\
   ssp-lp convert roads.json roads.drn --goal home --start depot
   ssp-lp convert gym:FrozenLake-v1 - --horizon 20 | ssp-lp info -""",
     ),
 }
-"""Every command of the command line, by its name."""
+"""Commands of the command line, by name."""

@@ -1,4 +1,4 @@
-"""The commands: from the words of a shell to a model and a problem, and to the lines printed."""
+"""Commands: from the words of a shell to a model and a problem, and to the lines printed."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ENVIRONMENT = "gym:"
-"""What stands before the name of an environment of Gymnasium's."""
+"""Prefix of the name of a Gymnasium environment."""
 
 Start = Hashable | Mapping[Hashable, float]
 
 
 def _asking(asked: Namespace, **others: Any) -> Namespace:
-    """What a command asks, with other arguments in place of some."""
+    """Return a copy of a command's arguments with some of them replaced."""
     return Namespace(**{**vars(asked), **others})
 
 
 @dataclass(frozen=True)
 class _CommandModel:
-    """A model, where it begins, and the environment that it is of, if it is of one."""
+    """A model, its start, and the Gymnasium environment that it is made from, if any."""
 
     asked: Namespace
     model: SSP
     stated_start: Start | None
-    horizon: int | None  # steps within which the goal is to be reached
+    horizon: int | None  # steps within which the goal must be reached
     environment: Any = None
 
     @property
@@ -61,7 +61,7 @@ class _CommandModel:
         """Start of an episode in a command's model.
 
         Raises:
-            ModelError: neither the model nor the user says so.
+            ModelError: neither the model nor the user gives a start.
         """
         if self.stated_start is None:
             raise ModelError("say where an episode begins: --start STATE")
@@ -69,7 +69,7 @@ class _CommandModel:
 
     @property
     def written_out(self) -> tuple[SSP, Start | None]:
-        """A command's model with its states counting the horizon's steps, and its start.
+        """A command's model with the horizon's steps counted in its states, and its start.
 
         Raises:
             ModelError: a horizon without a start.
@@ -85,14 +85,14 @@ def command_model(asked: Namespace) -> _CommandModel:
     """Read the model that a command names.
 
     Raises:
-        ModelError: no model, or a start that is none.
-        MissingDependencyError: an environment, and Gymnasium is not installed.
+        ModelError: no model, or a start that is not a state.
+        MissingDependencyError: an environment, but Gymnasium is not installed.
         OSError: the file cannot be read.
     """
     if asked.model.startswith(ENVIRONMENT):
         return _model_of_environment(asked)
     cost, ends = asked.cost, asked.dead_ends
-    if cost is None and asked.command in ("info", "convert"):  # which minimise none
+    if cost is None and asked.command in ("info", "convert"):  # which minimise no cost
         cost = FIRST_COST
     if asked.model == "-":
         text = _model_from_standard_input()
@@ -106,12 +106,12 @@ def command_model(asked: Namespace) -> _CommandModel:
 
 @cache
 def _model_from_standard_input() -> str:
-    """Text of a command's model on the standard input, once for all of its costs."""
+    """Return the text of a command's model on standard input, cached for all of its costs."""
     return sys.stdin.read()
 
 
 def _model_of_environment(asked: Namespace) -> _CommandModel:
-    """The model of a Gymnasium environment that the command line names."""
+    """Return the model of a Gymnasium environment that the command line names."""
     gymnasium = optional_module("gymnasium", "gym")
     name, *words = asked.model.removeprefix(ENVIRONMENT).split(",")
     arguments = {key: _value_for_model(word) for key, _, word in (w.partition("=") for w in words)}
@@ -132,7 +132,7 @@ def _model_of_environment(asked: Namespace) -> _CommandModel:
 
 
 def _value_for_model(word: str) -> Any:
-    """A word of a command as its value in Python or JSON: a number, a tuple, true; else itself."""
+    """Return a word of a command as a Python or JSON value if it is one, else the word."""
     for read in (literal_eval, json.loads):
         with suppress(ValueError, SyntaxError):
             return read(word)
@@ -140,7 +140,7 @@ def _value_for_model(word: str) -> Any:
 
 
 def _state_named(model: SSP, word: str) -> Hashable:
-    """The state that a word of a command names; the word itself where there is none."""
+    """Return the state that a word of a command names; the word itself if there is none."""
     return next((state for state in model.states if str(state) == word), word)
 
 
@@ -159,10 +159,10 @@ _SIGNS: dict[str, Callable[..., ssp_lp.Constraint]] = {"<=": le, ">=": ge, "==":
 
 
 def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
-    """The problem that a command states.
+    """Return the problem that a command states.
 
     Raises:
-        ModelError: the criterion does not take, or lacks, an argument; or it refuses one.
+        ModelError: an argument that the criterion does not have, lacks, or rejects.
     """
     criterion = getattr(ssp_lp, CRITERIA[asked.criterion])
     takes = {field.name: field for field in fields(criterion) if field.name in PARAMETERS}
@@ -170,7 +170,7 @@ def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
     for name in given:
         if name not in takes:
             options = ", ".join(map(option, takes)) or "none"
-            raise ModelError(f"{asked.criterion} takes no {option(name)}; its options: {options}")
+            raise ModelError(f"{asked.criterion} has no {option(name)}; its options: {options}")
     for name, field in takes.items():
         if name not in given and field.default is MISSING and name != "failure_budget":
             raise ModelError(f"{asked.criterion} needs {option(name)}: {PARAMETERS[name].help}")
@@ -189,10 +189,10 @@ def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
 
 
 def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
-    """A sum of quantities in a command's words, " + " between them.
+    """Return a sum of quantities in a command's words, " + " between them.
 
     Raises:
-        ModelError: what is no quantity of this model.
+        ModelError: words that are not a quantity of this model.
     """
     terms = []
     for one in words.split(" + "):
@@ -213,10 +213,10 @@ def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
 
 
 def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
-    """Costs of a command's model that the file names and the model does not, [outcomes].
+    """Return the costs of a command's model that only the file names, [outcomes].
 
     Raises:
-        ModelError: there are none of this name.
+        ModelError: the file has no costs of this name.
     """
     try:
         return command_model(_asking(of.asked, cost=word)).model.costs
@@ -227,7 +227,7 @@ def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
 
 
 def _problem_number(word: str, whole: str) -> float:
-    """A number in a command's words of a limit."""
+    """Return a number in a command's words of a limit."""
     try:
         return float(number_argument(word))
     except ArgumentTypeError as error:
@@ -243,23 +243,23 @@ _TAKEN = 'such as multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"], P<=0.01 [F "c
 
 
 class _Operator(NamedTuple):
-    """One operator: ``P>=0.95 [F "ok"]``."""
+    """An operator of a property: ``P>=0.95 [F "ok"]``."""
 
     words: str
     measure: str  # P or R
     cost: str | None
     relation: str  # max=?, min=?, >= or <=
     bound: str
-    steps: str | None  # within which something is reached
-    target: str | None  # what is reached; None: [C], the total
+    steps: str | None  # within which the target is reached
+    target: str | None  # reached state or label; None: [C], the total
 
 
 def with_property(asked: Namespace) -> Namespace:
-    """What a command asks, with what ``--property`` says in PRISM's words in its place.
+    """Return a command's arguments with those that ``--property`` states in PRISM's words.
 
-    The objective says what is to be least or most, P>= how often the goal is to be reached, other
-    operators are limits: P<= how an episode may end, R<= another cost. Costs count until the goal
-    is reached or lost, as everywhere here, also with [C].
+    The objective gives the criterion, P>= the least probability of the goal; other operators are
+    limits: P<= on the probability of an end, R<= on another cost. Costs count until the goal is
+    reached or lost, as everywhere in this library, also with [C].
 
     Raises:
         ModelError: another property, or one that contradicts the other arguments.
@@ -276,7 +276,7 @@ def with_property(asked: Namespace) -> Namespace:
     if len(goals) != 1:
         raise ModelError(f"{asked.property}: one goal must be reached, not {sorted(goals)}")
     if (objective.measure, objective.relation) not in {("P", "max=?"), ("R", "min=?")}:
-        raise ModelError(f"{objective.words}: what is asked is Pmax=? or Rmin=?")
+        raise ModelError(f"{objective.words}: the objective must be Pmax=? or Rmin=?")
     (goal,) = goals
     told: dict[str, Any] = {"goal": [goal], "limit": list(asked.limit)}
     if objective.measure == "P":
@@ -291,30 +291,30 @@ def with_property(asked: Namespace) -> Namespace:
             limited = (one.cost or "cost") if one.measure == "R" else f"end({one.target})"
             told["limit"].append(f"{limited} <= {one.bound}")
         elif one.measure == "R" and one is not objective:
-            raise ModelError(f"{one.words}: a cost may be at most so much, not at least")
+            raise ModelError(f"{one.words}: a cost can have an upper bound only")
     steps = {one.steps for one in operators if one.steps is not None}
     if steps:
         if len(steps) > 1 or any(one.steps is None and one.target == goal for one in operators):
-            raise ModelError(f"{asked.property}: all operators must know the same number of steps")
+            raise ModelError(f"{asked.property}: all operators must have the same number of steps")
         told["horizon"] = int(*steps)
     for name in ("goal", "cost"):
         if getattr(asked, name) and name in told and getattr(asked, name) != told[name]:
-            raise ModelError(f"--{name} says something else than the property {asked.property}")
+            raise ModelError(f"--{name} contradicts the property {asked.property}")
     return _asking(asked, **{name: word for name, word in told.items() if word is not None})
 
 
 def _operators_in(words: str) -> list[_Operator]:
-    """The operators of a property, one or several in ``multi( , )``.
+    """Return the operators of a property, one or several in ``multi( , )``.
 
     Raises:
-        ModelError: what is none.
+        ModelError: words that are not an operator.
     """
     several = re.fullmatch(r"\s*multi\s*\((.*)\)\s*", words)
     operators = []
     for one in re.split(r"(?<=\])\s*,", several[1]) if several else [words]:
         found = _OPERATOR.fullmatch(one)
         if found is None:
-            raise ModelError(f"{one.strip()!r} is no property that is understood, {_TAKEN}")
+            raise ModelError(f"{one.strip()!r} is not a supported property, {_TAKEN}")
         named = _Operator(one.strip(), *found.groups())
         relation, target = re.sub(r"\s", "", named.relation), named.target
         try:
@@ -322,21 +322,21 @@ def _operators_in(words: str) -> list[_Operator]:
         except ArgumentTypeError as error:
             raise ModelError(f"{named.words}: {error}") from error
         if relation.endswith("?") == bool(named.bound):
-            raise ModelError(f"{named.words}: a number goes with >= and <= alone")
+            raise ModelError(f"{named.words}: >= and <= need a number, =? has none")
         if named.measure == "P" and target is None:
-            raise ModelError(f"{named.words}: a probability is one of reaching something, F")
+            raise ModelError(f"{named.words}: P needs a target, [F ...]")
         operators.append(named._replace(relation=relation, target=target and target.strip('"')))
     return operators
 
 
 def json_answer(answer: Any) -> list[str]:
-    """A command's answer in lines of JSON; a number that is not finite is null."""
+    """Return a command's answer in lines of JSON, with null for infinite and undefined numbers."""
     finite = json.loads(json.dumps(answer), parse_constant=lambda _: None)
     return [json.dumps(finite, indent=2, ensure_ascii=False)]
 
 
 def _csv_answer(path: str, table: Table) -> list[str]:
-    """The lines of a table with commas between its cells; or in a file."""
+    """Return the lines of a table as CSV, or write them to a file and return no line."""
     if path == "-":
         return table.csv().splitlines()
     Path(path).write_text(table.csv(), encoding="utf-8")
@@ -344,16 +344,16 @@ def _csv_answer(path: str, table: Table) -> list[str]:
 
 
 def with_options(error: ssp_lp.SSPError) -> str:
-    """An error's message with a command's options in place of Python's arguments."""
+    """Return an error's message with a command's options in place of Python's arguments."""
     return "".join(option(*one) if isinstance(one, Argument) else str(one) for one in error.args)
 
 
 def figure_for(path: str | None) -> Figure | None:
-    """A figure for a command, known to be writable before anything is solved; None: none.
+    """Return a figure for a command, or None; its format is checked before the solve.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
-        ModelError: no picture has this ending.
+        ModelError: matplotlib has no format with this ending.
     """
     if path is None:
         return None
@@ -371,14 +371,14 @@ _WRITERS: dict[str, Callable[[Any, str], object]] = {
     ".h": io.write_c_header,
     ".csv": lambda policy, path: _csv_answer(path, policy.table().all_rows()),
 }
-"""Writers of policies, by the ending of a file's name."""
+"""Writers of policies, by the ending of the file's name."""
 
 
 def _solve_command(asked: Namespace) -> Iterable[str]:
-    """The command ``solve``."""
+    """Run the command ``solve`` and return its lines."""
     figure, asked, out = figure_for(asked.plot), with_property(asked), asked.policy_out
     write = None if out is None else _WRITERS.get(Path(out).suffix)
-    if out is not None and write is None:  # before anything is solved
+    if out is not None and write is None:  # before the solve
         raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {out!r}")
     of = command_model(asked)
     search = {"tolerance": asked.tolerance, "time_limit": asked.time_limit}
@@ -399,16 +399,16 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
     return [solution.summary(), *(["", str(solution.policy_table())] if asked.show_policy else [])]
 
 
-_WORTH_PROCESSES = 100_000  # outcomes of a model from which answers take longer than a start
+_WORTH_PROCESSES = 100_000  # outcomes of a model that takes longer to solve than a process to start
 
 
 def _several_answers(
     asked: Namespace, of: _CommandModel, budgets: Sequence[float | None], search: Mapping[str, Any]
 ) -> Iterable[str]:
-    """The command ``solve`` for several failure budgets, side by side: a table.
+    """Run the command ``solve`` for several failure budgets and return a table.
 
     Raises:
-        ModelError: something is to be made of the one answer.
+        ModelError: an output that belongs to a single answer.
     """
     for name in ("policy_out", "certificate_out", "plot"):
         if getattr(asked, name) is not None:
@@ -430,17 +430,17 @@ def _several_answers(
 
 
 def _check_command(asked: Namespace) -> Iterable[str]:
-    """The command ``check``.
+    """Run the command ``check`` and return its lines.
 
     Raises:
-        ModelError: something is asked, but not of which model.
+        ModelError: a question without a model.
         SolverError: the certificate is refused.
     """
     problem, asked = None, with_property(asked)
     if asked.model is not None:
         problem = problem_of(asked, command_model(asked))
     elif asked.goal or asked.limit or asked.start or any(name in asked for name in PARAMETERS):
-        raise ModelError("a question is asked of a model: give --model, or the file alone")
+        raise ModelError("a question needs a model: give --model, or the file alone")
     checked = ssp_lp.check_certificate(asked.certificate, problem=problem)
     if not checked.accepted:
         raise SolverError(f"{asked.certificate} is refused: {checked.reason}")
@@ -448,7 +448,7 @@ def _check_command(asked: Namespace) -> Iterable[str]:
 
 
 def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
-    """A command's solution as a table for other programs."""
+    """Return a command's solution as a table for other programs."""
     members = zip(solution.policy.weights.tolist(), solution.policy.policies, strict=True)
     names = ("goal_probability", "failure_probability", "conditional_cost", "expected_cost")
     return {
@@ -470,7 +470,7 @@ def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
 
 
 def _decisions(policy: Policy) -> dict[str, Any]:
-    """Decisions that a command prints, by state; of a policy with memory, its words."""
+    """Return the decisions that a command prints, by state; of other policies their repr."""
     inner = getattr(policy, "inner", policy)
     if not isinstance(inner, ssp_lp.DeterministicPolicy):
         return {"kind": repr(policy)}
@@ -481,13 +481,13 @@ _LISTED = 8  # actions that ``info`` names
 
 
 def _traced_frontier(asked: Namespace, of: _CommandModel) -> ssp_lp.Frontier:
-    """The frontier that a command asks for."""
+    """Return the frontier that a command traces."""
     limits = {name: getattr(asked, name) for name in ("gap", "point_limit", "time_limit")}
     return ssp_lp.trace_frontier(problem_of(asked, of), asked.over, **limits)
 
 
 def _explore_command(asked: Namespace) -> Iterable[str]:
-    """The command ``explore``."""
+    """Run the command ``explore`` and return its lines."""
     asked = with_property(asked)
     found = command_model(asked)
     traced = _traced_frontier(asked, found)
@@ -501,7 +501,7 @@ def _explore_command(asked: Namespace) -> Iterable[str]:
 
 
 def _frontier_command(asked: Namespace) -> Iterable[str]:
-    """The command ``frontier``."""
+    """Run the command ``frontier`` and return its lines."""
     figure = figure_for(asked.plot)
     asked = with_property(asked)
     traced = _traced_frontier(asked, command_model(asked))
@@ -517,7 +517,7 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
 
 
 def _info_command(asked: Namespace) -> Iterable[str]:
-    """The command ``info``."""
+    """Run the command ``info`` and return its lines."""
     model, start = command_model(asked).written_out
     names = list(map(str, model.action_names))
     facts: dict[str, Any] = {
@@ -539,7 +539,7 @@ def _info_command(asked: Namespace) -> Iterable[str]:
 
 
 def _simulate_command(asked: Namespace) -> Iterable[str]:
-    """The command ``simulate``."""
+    """Run the command ``simulate`` and return its lines."""
     check_whole("seed", asked.seed, 0)
     found = command_model(asked)
     problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
@@ -558,7 +558,7 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
 
 
 def _convert_command(asked: Namespace) -> Iterable[str]:
-    """The command ``convert``."""
+    """Run the command ``convert`` and return its lines."""
     found = command_model(asked)
     model, start = found.written_out
     if asked.target == "-":
@@ -568,7 +568,7 @@ def _convert_command(asked: Namespace) -> Iterable[str]:
 
 
 def _program_command(asked: Namespace) -> Iterable[str]:
-    """The command ``program``."""
+    """Run the command ``program`` and return its lines."""
     asked = with_property(asked)
     program = program_of(problem_of(asked, command_model(asked)))
     if asked.out is not None:
@@ -577,7 +577,7 @@ def _program_command(asked: Namespace) -> Iterable[str]:
 
 
 def _what_if_command(asked: Namespace) -> Iterable[str]:
-    """The command ``what-if``."""
+    """Run the command ``what-if`` and return its lines."""
     figure = figure_for(asked.plot)
     asked = with_property(asked)
     found = ssp_lp.solve(problem_of(asked, command_model(asked)))
@@ -604,4 +604,4 @@ COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
     "what-if": _what_if_command,
     "check": _check_command,
 }
-"""What a command prints, by its name."""
+"""Commands by name; each returns the lines that are printed."""

@@ -1,1 +1,1 @@
-"""What a policy does: evaluation, simulation, the law of its total cost."""
+"""Analysis of a policy: evaluation, simulation, the law of its total cost."""

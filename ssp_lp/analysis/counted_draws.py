@@ -1,9 +1,9 @@
-"""Random numbers of simulations that are counted: each by its place, whoever asks for it, and when.
+"""Counter-based random numbers of simulations: each is determined by its seed, episode and step.
 
-Whoever plays a part of the episodes alone draws for them what anybody else would. The generator is
-Philox 4x64 with ten rounds, as numpy's (Salmon, Moraes, Dror and Shaw, "Parallel random numbers: as
-easy as 1, 2, 3", SC 2011); what is drawn is chosen in whole numbers, so that nothing depends on
-what is summed before.
+A process that plays a part of the episodes draws the same numbers for them as any other would. The
+generator is Philox 4x64 with ten rounds, as in numpy (Salmon, Moraes, Dror and Shaw, "Parallel
+random numbers: as easy as 1, 2, 3", SC 2011); choices are made in whole numbers, so that the order
+of summation has no effect.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ Words = npt.NDArray[np.uint64]
 
 _ROUNDS = 10
 _FACTORS = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)
-_STEPS = 0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B  # by which the key moves on
+_STEPS = 0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B  # increments of the key
 _SIZE = 1 << 64
 _HALF, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
-_UNITS = 2.0**62  # of a probability, in whole numbers: what a pair's sum to has room in a word
+_UNITS = 2.0**62  # whole-number scale of probabilities: a pair's sum fits into a word
 
 
 def counted_words(seed: int, episode: IntArray, step: int) -> tuple[Words, Words, Words, Words]:
-    """Four random words for each of some simulated episodes at a step, [episodes] each.
+    """Return four random words for each of some simulated episodes at a step, [episodes] each.
 
     Args:
         seed: in 0 .. 2^64 - 1.
@@ -44,7 +44,7 @@ def counted_words(seed: int, episode: IntArray, step: int) -> tuple[Words, Words
 
 
 def high_product(one: Words, other: Words | np.uint64) -> Words:
-    """The upper words of products of drawn words, like ``one``."""
+    """Return the upper words of products of drawn words, like ``one``."""
     one_low, one_high, low, high = one & _LOW, one >> _HALF, other & _LOW, other >> _HALF
     middle = one_high * low + ((one_low * low) >> _HALF)
     crossed = one_low * high + (middle & _LOW)
@@ -52,7 +52,7 @@ def high_product(one: Words, other: Words | np.uint64) -> Words:
 
 
 def drawn_segments(shares: FloatArray, offsets: IntArray, words: Words) -> IntArray:
-    """An entry of each segment, drawn by random words with their shares, [segments].
+    """Return an entry of each segment, drawn by random words with its share, [segments].
 
     Args:
         shares: >= 0, [entries]; each segment's sum to about 1.
@@ -60,7 +60,7 @@ def drawn_segments(shares: FloatArray, offsets: IntArray, words: Words) -> IntAr
         words: [segments].
     """
     units = np.rint(shares * _UNITS).astype(np.uint64)
-    upto = np.cumsum(units, dtype=np.uint64)  # it may wrap: differences do not
+    upto = np.cumsum(units, dtype=np.uint64)  # it may overflow: differences do not
     lengths, begins = np.diff(offsets), offsets[:-1]
     upto -= np.repeat((upto - units)[begins], lengths)
     level = high_product(words, upto[offsets[1:] - 1])
@@ -69,7 +69,7 @@ def drawn_segments(shares: FloatArray, offsets: IntArray, words: Words) -> IntAr
 
 
 def drawn_entries(shares: FloatArray, words: Words) -> IntArray:
-    """Entries of one distribution, each drawn by a random word, [words].
+    """Return the entries of one distribution, each drawn by a random word, [words].
 
     Args:
         shares: >= 0, with a sum of about 1, [entries].
@@ -80,12 +80,12 @@ def drawn_entries(shares: FloatArray, words: Words) -> IntArray:
 
 
 def drawn_outcomes(model: SSP, pairs: IntArray, words: Words) -> IntArray:
-    """An outcome of each pair, drawn by random words, [pairs given].
+    """Return an outcome of each pair, drawn by random words, [pairs given].
 
     Args:
-        model: whose pairs and outcomes are meant.
+        model: model of the pairs and outcomes.
         pairs: [pairs given].
-        words: likewise.
+        words: [pairs given].
     """
     drawn = np.zeros(len(pairs), dtype=np.int64)
     lengths = model.outcome_offsets[pairs + 1] - model.outcome_offsets[pairs]

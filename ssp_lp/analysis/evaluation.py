@@ -49,30 +49,30 @@ from ssp_lp.processes.live_rows import cost_means, costless_pairs
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Facts):
-    """Measures of a policy from the start, exact. Costs are in the model's unit."""
+    """Exact measures of a policy from the start. Costs are in the model's unit."""
 
     goal_probability: float
     failure_probability: float  # 1 - goal_probability: wandering for ever is failure
     success_cost: float  # E[total cost; goal]
     conditional_cost: float  # E[total cost | goal]; nan if the goal is never reached
     expected_cost: float  # E[r_tau]: until failure is declared, charges included, undiscounted
-    objective: float  # what the problem optimises, discounted where it is; penalty or measure
+    objective: float  # of the problem: discounted if it is, with penalty, or a measure of the law
     discounted_failure: float | None  # paper, eq. constrain_condition_approximate
-    ends: Mapping[str, float]  # how episodes end: goal, each label, dead_end, gave_up, wandering
+    ends: Mapping[str, float]  # probability of each end: goal, labels, dead_end, gave_up, wandering
     secondary_costs: Mapping[str, float] = field(
         default_factory=dict
     )  # each constrained quantity, by name; as ``objective``
-    cost_after_failing: float | None = None  # until the true end; None: runs are over by failing
+    cost_after_failing: float | None = None  # until the true end; None: failing ends runs
     discounted_goal: float | None = None  # E[gamma^T; goal]; None: exact
 
     @property
     def limited_goal(self) -> float:
-        """Goal probability of the evaluated policy, without what a budget limits."""
+        """Goal probability of the evaluated policy that complements ``limited_failure``."""
         return self.goal_probability if self.discounted_goal is None else self.discounted_goal
 
     @property
     def limited_failure(self) -> float:
-        """Failure of the evaluated policy that a budget limits: discounted under a discount."""
+        """Failure of the evaluated policy that a budget limits, discounted if the problem is."""
         surrogate = self.discounted_failure
         return self.failure_probability if surrogate is None else surrogate
 
@@ -81,7 +81,7 @@ class Evaluation(Facts):
             object.__setattr__(self, name, ByName(getattr(self, name)))
 
     def tables(self) -> list[Table]:
-        """The objective, how episodes end, and the costs."""
+        """Return a table of the objective, the ends of episodes, and the costs."""
         return [
             Table([
                 ("objective", self.objective),
@@ -117,30 +117,29 @@ def evaluate(
 ) -> Evaluation | WorstCase:
     """Evaluate a policy exactly, with the stopping time taken from its own chain.
 
-    The paper's tau (section 2.4) is the first time at which the goal cannot be reached any more
-    under the policy; the problem's ``give_up`` and ``charge_failing_step`` say what happens then.
-    Any policy will do: a solution's, a :class:`DeterministicPolicy` of the user's own, or a
-    lottery. The conditional cost of a lottery is the ratio of the weighted sums, never the mean
-    of the members' conditional costs.
+    The paper's tau (section 2.4) is the first time at which the goal is unreachable under the
+    policy; the problem's ``give_up`` and ``charge_failing_step`` say what happens then. The policy
+    may be a solution's, your own :class:`DeterministicPolicy`, or a lottery. The conditional cost
+    of a lottery is the ratio of the weighted sums, not the mean of the members' conditional costs.
 
     Args:
         policy: the policy, on the problem's model.
-        problem: says the start, the discount and the semantics.
-        box: intervals of the probabilities; then the worst case of each measure over all of them
-            is returned, as a ``WorstCase``. It is exact for a policy without memory, and a bound
+        problem: problem with the start, the discount and the semantics.
+        box: intervals of the probabilities; then the result is a ``WorstCase`` with the worst case
+            of each measure over all of them. It is exact for a policy without memory, and a bound
             for a lottery.
-        time_limit: seconds; None: any number.
+        time_limit: seconds; None: unlimited.
 
     Returns:
-        Exact numbers, up to the rounding of linear solves. Only where a criterion asks for the law
-        of costs whose sums are too many to tell apart, or of a policy that ``rounds_up``, the
-        objective is that of costs rounded up: the true one is as good or better.
+        Exact numbers, up to the rounding of linear solves. One exception: if a criterion needs the
+        law of costs with too many different sums, or of a policy that ``rounds_up``, the objective
+        is that of costs rounded up, and the true one is as good or better.
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches, or gives up where the
             problem forbids it; with ``box``, a cost given success, a horizon, a discount or
             constraints, which have no worst case there.
-        OutOfTimeError: the time limit passed before all was known.
+        OutOfTimeError: the time limit passed before the evaluation was finished.
     """
     with limited(time_limit, "the policy was evaluated"):
         if box is not None:
@@ -151,12 +150,12 @@ def evaluate(
 def evaluate_each(
     policy: Policy | MixedPolicy, problem: Problem = NEEDED
 ) -> tuple[Evaluation, list[Evaluation]]:
-    """The evaluation of a policy, and that of each member of the lottery by itself.
+    """Return the evaluation of a policy, and that of each member of the lottery by itself.
 
-    The members' objectives are their costs where the problem has a measure of the law.
+    If the problem has a measure of the law, the members' objectives are their costs.
 
     Raises:
-        ModelError: as of :func:`evaluate`.
+        ModelError: as in :func:`evaluate`.
     """
     lottery, problem = on_one_model(policy, problem, "evaluate")
     start = start_distribution(problem.model, problem.start)
@@ -180,15 +179,15 @@ def evaluate_each(
 
 @explained
 def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
-    """The law of a policy's total cost on the runs that reach the goal.
+    """Return the law of a policy's total cost on the runs that reach the goal.
 
     Costs and probabilities are undiscounted, whatever the problem's discount. The law of a lottery
-    is the mixture of its members' laws, so that a quantile is the mixture's, never a mean of the
+    is the mixture of its members' laws, so that a quantile is the mixture's, not a mean of the
     members' quantiles.
 
     Args:
         policy: any policy on the problem's model.
-        problem: says the start.
+        problem: problem with the start.
 
     Raises:
         ModelError: the policy is for another model, or undecided in a state that it reaches.
@@ -207,10 +206,10 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
 
 
 def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
-    """The cost law that a problem's measure goes by: of costs as the policy's members count them.
+    """Return the cost law of a problem's measure, with costs as the policy's members count them.
 
-    Members may round costs up. A measure that is one of the totals goes by costs as they are paid,
-    where such a law is soon followed.
+    Members may round costs up. For a measure with values among the totals, the law is that of the
+    true costs if it can be computed quickly.
     """
     chains = _law_chains(policy, problem, soon=True)
     return _measured_law(chains, policy.weights[policy.weights > 0.0], problem.semantics)
@@ -219,7 +218,7 @@ def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
 def _law_chains(
     lottery: MixedPolicy, problem: Problem, *, soon: bool = False
 ) -> list[tuple[Chain, Chain]]:
-    """Chains of a lottery's members with their cost laws: as paid, and as the members count."""
+    """Return chains of a lottery's members with their cost laws: true, and as the members count."""
     start = start_distribution(problem.model, problem.start)
     return [
         chains_of_law(problem.model, member, start, soon=soon)
@@ -231,17 +230,17 @@ def _law_chains(
 def _measured_law(
     chains: Iterable[tuple[Chain, Chain]], weights: FloatArray, semantics: FailureSemantics
 ) -> CostLaw:
-    """The cost law of :func:`measured_costs` from its members' chains, as :func:`law_of_chains`."""
+    """Return the cost law of :func:`measured_costs` from the members' chains."""
     if semantics.risk is not None and semantics.risk.is_a_total:
         return law_of_chains(chains, weights)
     return law_of_chains(((counted, counted) for _, counted in chains), weights)
 
 
 def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) -> CostLaw:
-    """The cost law of a lottery from its members' chains.
+    """Return the cost law of a lottery from its members' chains.
 
     Args:
-        chains: of the members, as costs are paid and as the members count them.
+        chains: of the members, with true costs and with costs as the members count them.
         weights: of the members, > 0, [members].
     """
     paid, counted = zip(*chains, strict=True)
@@ -250,23 +249,23 @@ def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) ->
 
 
 class _Measures(NamedTuple):
-    """Quantities of a policy that are linear in the start lottery."""
+    """Measures of a policy that are linear in the start lottery."""
 
     totals: FloatArray  # [discounts, 4] goal, failure, cost of success, cost until failure
-    ends: FloatArray  # [ways] as of ``end_marks``, then wandering
+    ends: FloatArray  # [ways] in the order of ``end_marks``, then wandering
     secondary: FloatArray  # [quantities] that the problem limits and minimises
-    later: FloatArray  # [1] cost after failing; [0] where runs are over by failing
+    later: FloatArray  # [1] cost after failing; [0] if failing ends runs
 
 
 def mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
-    """Mean of an evaluation's measures over a lottery; an infinite cost of weight 0 is left out."""
+    """Return the mean of measures over a lottery, without infinite costs of weight 0."""
     used = np.flatnonzero(weights > 0.0)
     columns = zip(*(parts[k] for k in used), strict=True)
     return _Measures(*(np.tensordot(weights[used], np.stack(c), axes=1) for c in columns))
 
 
 def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
-    """The evaluation of a policy from its measures."""
+    """Return the evaluation of a policy from its measures."""
     semantics, discounted = problem.semantics, problem.discount is not None
     goal, failure, success_cost, stopped = sums.totals[0].tolist()
     kept, surrogate, *costs = sums.totals[-1].tolist()
@@ -279,7 +278,7 @@ def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
         objective = objective / kept if kept > 0 else float("nan")
     asked = asked_quantities(problem) if sums.secondary.size else ()
     secondary = {one.name: value for one, value in zip(asked, sums.secondary.tolist(), strict=True)}
-    if OBJECTIVE in secondary:  # a quantity is minimised in place of the cost
+    if OBJECTIVE in secondary:  # a quantity replaces the cost
         objective = secondary.pop(OBJECTIVE)
     ways = ["goal", *problem.model.state_labels, "dead_end", "gave_up", "wandering"]
     return Evaluation(
@@ -298,7 +297,7 @@ def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
 
 
 def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> _Measures:
-    """Measures for a policy's evaluation, on its chain."""
+    """Return the measures for a policy's evaluation, on its chain."""
     mass = np.zeros((chain.n_nodes, 3 * len(_survivals(problem))))
     mass[:, ::3] = chain.start[:, None]
     counted = counted_nodes(chain, problem, declared=declared)
@@ -309,8 +308,8 @@ def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False
 
 
 def _measures_of(totals: FloatArray, ends: FloatArray) -> _Measures:
-    """Measures of totals by discount, [discounts, 4], and of ways to end, [ways]."""
-    for row in totals:  # goal and failure within [0, 1]; 0 of either where the other is sure
+    """Return the measures of totals by discount, [discounts, 4], and of ways to end, [ways]."""
+    for row in totals:  # goal and failure within [0, 1]; either is 0 if the other is sure
         goal, failure = row[[GOAL, FAILED]]
         row[GOAL] = 1.0 if failure == 0.0 else min(goal, 1.0)
         row[FAILED] = 1.0 if goal <= 0.0 < failure else min(failure, 1.0)
@@ -318,7 +317,7 @@ def _measures_of(totals: FloatArray, ends: FloatArray) -> _Measures:
 
 
 def _survivals(problem: Problem) -> list[float]:
-    """The discounts under which a policy is measured, the problem's last."""
+    """Return the discounts under which a policy is measured, the problem's last."""
     return [1.0] if problem.discount is None else [1.0, problem.discount]
 
 
@@ -329,17 +328,17 @@ GOAL, FAILED, STOPPED = 0, 1, 3
 def _chain_totals(
     chain: Chain, counted: BoolArray, problem: Problem, mass: FloatArray
 ) -> FloatArray:
-    """Goal, failure, cost of success and cost until failure, [discounts, 4].
+    """Return goal, failure, cost of success and cost until failure, [discounts, 4].
 
     Args:
         chain: the chain.
         counted: nodes at which failure has not been declared, [nodes].
-        problem: says the semantics.
-        mass: that enters, that times the cost paid before, and what has failed, for each discount,
+        problem: problem with the semantics.
+        mass: entering mass, mass times the cost paid before, and failed mass, for each discount,
             [nodes, 3 * discounts].
 
     Raises:
-        ModelError: the policy gives up where it may not.
+        ModelError: the policy gives up where the problem forbids it.
     """
     semantics, totals = problem.semantics, []
     check_giving_up(chain, problem)
@@ -358,7 +357,7 @@ def _chain_totals(
 
 
 def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
-    """Probability of each way in which episodes end, as of ``end_marks``, [ways]."""
+    """Return the probability of each end of an episode, in the order of ``end_marks``, [ways]."""
     ways = np.arange(len(chain.model.state_labels) + 3)
     final = ((chain.goal > 0) | (chain.dead > 0))[:, None]
     ends, stops = (
@@ -369,18 +368,18 @@ def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
 
 
 _ROUNDING = 64 * MACHINE_EPSILON
-"""As little wandering as this is rounding: it is what the other ends leave of 1."""
+"""Greatest wandering that is rounding, as 1 minus the sum of the other ends."""
 
 _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"}
 
 
 def cost_in_words(cost: float) -> str:
-    """A number of an evaluation; nan is the cost given success where there is no success."""
+    """Return a cost of an evaluation as text; nan is a cost given success without success."""
     return "none: the goal is never reached" if cost != cost else f"{cost:.6g}"
 
 
 def failing_in_words(ends: Mapping[str, float]) -> str:
-    """Evaluated ways to fail in a line: "crash 0.03, gave up 0.02"."""
+    """Return the evaluated ways to fail in a line: "crash 0.03, gave up 0.02"."""
     least = {"goal": np.inf, "wandering": _ROUNDING}
     ways = ((name, share) for name, share in ends.items() if share > least.get(name, 0.0))
     return ", ".join(f"{_WORDS.get(name, name)} {share:.6g}" for name, share in ways)
@@ -389,13 +388,13 @@ def failing_in_words(ends: Mapping[str, float]) -> str:
 def giving_up_in_words(
     policy: MixedPolicy, problem: Problem, share: float, most_nodes: int = 100_000
 ) -> str:
-    """Where the evaluated policy gives up first, and how often before the first step.
+    """Return where the evaluated policy gives up first, and how often before the first step.
 
     Args:
         policy: of the problem.
-        problem: says the start.
+        problem: problem with the start.
         share: probability of giving up.
-        most_nodes: of a member's chain among which the place is looked for.
+        most_nodes: greatest size of a member's chain in which the place is sought.
     """
     at_start, start = 0.0, start_distribution(problem.model, problem.start)
     states = np.flatnonzero((start > 0.0) & (np.diff(problem.model.pair_offsets) > 0))
@@ -410,18 +409,18 @@ def giving_up_in_words(
         return f"{at_start:.6g} of it before the first step"
     try:
         rows = reached_table(policy, start, most_nodes)
-    except ModelError:  # too many nodes to look for the place
+    except ModelError:  # too many nodes
         return ""
     first = next((row.state for row in rows if row.action is GIVE_UP), None)
     return "" if first is None else f"first in {in_short(first)}"
 
 
 def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """Evaluated policy's expected visits of each pair, and probability of giving up per state.
+    """Return the policy's expected visits of each pair, and probability of giving up per state.
 
     Returns:
-        [pairs] and [states] of the problem's model, whatever the policy remembers and, within a
-        horizon, at all times together.
+        [pairs] and [states] of the problem's model, summed over the policy's memory and, within a
+        horizon, over time.
 
     Raises:
         ModelError: the policy is for another model, or may wander for ever.
@@ -444,18 +443,17 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
 
 
 def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> StochasticPolicy:
-    """Stationary randomised policy with the evaluated lottery's expected visits of pairs.
+    """Return the stationary randomised policy with the evaluated lottery's expected visits.
 
-    Paper, section 2.2: in each augmented state the action is drawn with the share that it has in
-    the lottery's expected visits. Under a discount visits are discounted, so that the discounted
-    cost and failure are kept: a stationary policy cannot keep both those and the real ones.
-    Members of the state alone are carried along the memory that others need, the accumulated cost
-    or the time; members whose memories differ along both. Where time is remembered (section 3.4),
-    every visit of a situation has one time, and the distribution over situations is the lottery's
-    at each time, not only in total.
+    Paper, section 2.2: in each augmented state the action is drawn with its share in the lottery's
+    expected visits. Under a discount, visits are discounted, which preserves the discounted cost
+    and failure: a stationary policy cannot preserve both these and the undiscounted ones. The
+    augmented state has the memories of all members: accumulated cost, time, or both if they differ.
+    If time is remembered (section 3.4), every visit of a situation has one time, and the
+    distribution over situations is the lottery's at each time, not only in total.
 
     Raises:
-        ModelError: a member may wander for ever, or is of a class whose memory is not known.
+        ModelError: a member may wander for ever, or is of a class with unknown memory.
     """
     policy, problem = on_one_model(policy, problem, "equivalent_randomised_policy")
     model, start = problem.model, start_distribution(problem.model, problem.start)
@@ -477,17 +475,17 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
 def layered_measures(
     policy: Policy, problem: Problem, start: FloatArray, least_nodes: int = LARGE
 ) -> _Measures | None:
-    """Measures for the evaluation of a layered policy; None: its chain is to be written out.
+    """Return the measures of a layered policy, or None if its chain must be written out.
 
-    That is where it is small, where the policy remembers something else than its cost, where
-    quantities beside the cost are asked for, or where a decision is missing or not allowed,
-    which the written-out chain names.
+    The chain is written out if it is small, if the policy remembers more than its cost, if other
+    quantities than the cost are requested, or if a decision is missing or not allowed, which the
+    chain's error names.
 
     Args:
         policy: on the problem's model.
-        problem: says the semantics and the discount.
+        problem: problem with the semantics and the discount.
         start: distribution over states, [states].
-        least_nodes: states times layers from which a policy is not written out.
+        least_nodes: states times layers above which a policy is not written out.
     """
     model, layers = problem.model, policy.layers()
     if layers is None or problem.conditions or problem.objective_condition is not None:
@@ -498,7 +496,7 @@ def layered_measures(
     hopeful, costs = hopeful_layers(moves)[0], _LayerCosts.of(problem)
     waiting = np.zeros((moves.room, model.n_states, 3 * len(survivals)))
     waiting[0, :, ::3] = start[:, None]
-    stopped = np.zeros((2, model.n_states))  # what ends in each state, and what gives up there
+    stopped = np.zeros((2, model.n_states))  # mass that ends in each state, and that gives up there
     ends, parts, first = np.zeros(len(model.state_labels) + 3), list[FloatArray](), 0
     if layers.even:
         charged = costs.stage, costs.stopping, np.isinf(costs.charge), costs.goes_on
@@ -530,16 +528,16 @@ def layered_measures(
 
 @dataclass(frozen=True, eq=False)
 class _LayerCosts:
-    """What the layers of a policy that remembers its cost add up, without limits."""
+    """Costs, without limits, summed over the layers of a policy that remembers its cost."""
 
     problem: Problem
     stage: FloatArray  # [pairs] mean cost of a step
-    charge: FloatArray  # [states] of giving up, infinite where that is not allowed
-    stopping: FloatArray  # [states] what failing in one costs
+    charge: FloatArray  # [states] of giving up, infinite if not allowed
+    stopping: FloatArray  # [states] cost of failing in each
 
     @classmethod
     def of(cls, problem: Problem) -> _LayerCosts:
-        """The layered costs of a problem."""
+        """Return the layered costs of a problem."""
         model, semantics, dead = problem.model, problem.semantics, dead_ends(problem.model)
         charge = state_give_up_charges(model, semantics)
         entering = dead_end_charges(model, dead, semantics)
@@ -548,19 +546,19 @@ class _LayerCosts:
 
     @property
     def goes_on(self) -> bool:
-        """Whether costs are paid where the goal is lost."""
+        """Whether costs are paid after the goal is lost."""
         return self.problem.semantics.give_up is GiveUp.DEAD_ENDS
 
     def of_layer(
         self, here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray
     ) -> FloatArray:
-        """Goal, failure, cost of success and cost until failure of a layer, [discounts, 4].
+        """Return goal, failure, cost of success and cost until failure of a layer, [discounts, 4].
 
         Args:
             here: states, [k].
-            pairs: of them, [k].
-            hopes: whether the goal is in reach, [k].
-            visits: as of ``LayerMoves.follow``, [k, 3 * discounts].
+            pairs: their pairs, [k].
+            hopes: whether the goal can be reached, [k].
+            visits: as in ``LayerMoves.follow``, [k, 3 * discounts].
         """
         stopping, rows = self.stopping[here], list[list[float]]()
         at_goal, moving = self.problem.model.goal_mask[here], pairs >= 0
@@ -579,7 +577,7 @@ class _LayerCosts:
 def give_up_costs(
     chain: Chain, semantics: FailureSemantics, free: BoolArray | None = None
 ) -> FloatArray:
-    """Value of giving up at each node of a policy's chain, 0 where it may not, [nodes]."""
+    """Return the cost of giving up at each node of a policy's chain, 0 if not allowed, [nodes]."""
     if not chain.give_up.any():
         return np.zeros(len(chain.give_up))
     charge = state_give_up_charges(chain.model, semantics, free)[chain.state]
@@ -587,12 +585,12 @@ def give_up_costs(
 
 
 def check_giving_up(chain: Chain, problem: Problem) -> None:
-    """Check, for a quantity's value, that a policy gives up only where it may.
+    """Check that a policy gives up only where the problem allows it.
 
-    That is allowed among pairs that are free in all that the problem minimises and limits.
+    Giving up is allowed among pairs that are free in all quantities of the problem.
 
     Raises:
-        ModelError: it does elsewhere.
+        ModelError: the policy gives up elsewhere.
     """
     semantics, objective = problem.semantics, problem.objective_condition
     limited = (row for condition in problem.conditions for row in condition.rows)
@@ -611,10 +609,10 @@ def lost_costs(
     survival: float,
     free: BoolArray | None = None,
 ) -> FloatArray:
-    """Value of the cost to come at nodes that cannot reach the goal, [nodes].
+    """Return the cost to come at nodes that cannot reach the goal, [nodes].
 
-    Failure is declared there at once, and charged as the semantics says; with ``DEAD_ENDS`` stage
-    costs are paid until a dead-end is entered, which costs infinity where that is never.
+    Failure is declared there at once, and charged according to the semantics; with ``DEAD_ENDS``
+    stage costs are paid until a dead-end is entered, infinite if none ever is.
 
     Args:
         hopeful: nodes from which the goal is reached with positive probability, [nodes].
@@ -633,7 +631,7 @@ def lost_costs(
     stage = chain.per_node(chain.cost) + survival * chain.ahead(values)
     if survival < 1.0:
         return values + chain.accumulate(np.where(lost, stage, 0.0), lost, survival)
-    # lost nodes from which nothing is paid any more, and those that may come to pay for ever
+    # lost nodes after which nothing is paid, and those that may lead to paying for ever
     leaving = (chain.dead > 0) | (chain.give_up > 0) | ~lost
     free = ~chain.reaching(leaving | (chain.per_node(chain.cost) > 0.0))
     infinite = lost & chain.reaching(~chain.reaching(leaving | free))
@@ -644,17 +642,17 @@ def lost_costs(
 def state_give_up_charges(
     model: SSP, semantics: FailureSemantics, free: BoolArray | None = None
 ) -> FloatArray:
-    """Charge of giving up in each state, for quantities' values, infinite if forbidden, [states].
+    """Return the charge of giving up in each state, infinite if forbidden, [states].
 
-    Staying for ever in an end component that costs nothing is free whatever the semantics.
+    Staying for ever in an end component of cost 0 is free whatever the semantics.
 
     Args:
         model: the model.
         semantics: where giving up is allowed and whether it is charged.
-        free: pairs among which one may stay, [pairs]; None: those that cost nothing.
+        free: pairs by which a policy may stay, [pairs]; None: those of cost 0.
     """
     wandering = np.zeros(model.n_states, dtype=np.bool_)
-    if semantics.give_up is GiveUp.DEAD_ENDS:  # else whoever may stay may give up for as little
+    if semantics.give_up is GiveUp.DEAD_ENDS:  # otherwise giving up costs as little as staying
         free = costless_pairs(model) if free is None else free
         wandering = model.staying_free(free)
     return model.of_all_states(
@@ -663,23 +661,23 @@ def state_give_up_charges(
 
 
 def entering_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:
-    """Charge of entering each dead-end, for quantities' values, 0 elsewhere, [states]."""
+    """Return the charge of entering each dead-end, 0 elsewhere, [states]."""
     return model.of_all_states(dead_end_charges(model, dead_ends(model), semantics))
 
 
 def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> BoolArray:
-    """Nodes of a policy's chain at which quantities still count: failing is not declared, [nodes].
+    """Return the nodes of a policy's chain at which failing is not declared, [nodes].
 
-    That is where the goal can still be reached; but where a constraint asks for another end, a
+    These are the nodes from which the goal can be reached; but if a constraint needs another end, a
     policy on its way there has not failed until it arrives or gives up.
 
-    On states with the label of failing a policy may declare itself that it fails; of another one
-    that is said as soon as it has lost the goal, by steps that avoid it surely.
+    On states with the label of failing a policy may declare failing itself; any other policy
+    declares it as soon as it has lost the goal, by steps that surely avoid it.
 
     Args:
-        chain: the policy's.
-        problem: with what is asked.
-        declared: whether the policy declares itself that it fails.
+        chain: chain of the policy.
+        problem: problem with the constraints.
+        declared: whether the policy declares failing itself.
     """
     if problem.model.failure_label is not None:
         quits = chain.give_up > 0
@@ -693,10 +691,10 @@ def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> 
 
 
 def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, IntArray], BoolArray]:
-    """In which (state, memory) of a policy its chain has failed, as an evaluation counts it.
+    """Return a predicate for the (state, memory) of a policy in which its chain has failed.
 
     Returns:
-        A function of states and memories, [situations] each; False for one that the model's own
+        A function of states and memories, [situations] each; False for a situation that the model's
         steps do not lead to.
     """
     model = problem.model
@@ -710,33 +708,33 @@ def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, Int
 
 
 def lost_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> BoolArray:
-    """Nodes of a policy's chain at which it has failed, as quantities count it, [nodes].
+    """Return the nodes of a policy's chain at which it has failed, [nodes].
 
     Args:
-        chain: the policy's.
-        problem: with what is asked.
-        declared: as of :func:`counted_nodes`.
+        chain: chain of the policy.
+        problem: problem with the constraints.
+        declared: as in :func:`counted_nodes`.
     """
     counted = counted_nodes(chain, problem, declared=declared)
     return np.asarray(~counted & (chain.dead == 0))
 
 
 def _asks_for_ends(problem: Problem) -> bool:
-    """Whether some constraint or the objective asks for an end that is not the goal."""
+    """Return whether a constraint or the objective counts an end that is not the goal."""
     return any(condition.wants_ends for condition in asked_quantities(problem))
 
 
 def asked_quantities(problem: Problem) -> tuple[Condition, ...]:
-    """Quantities whose values a problem asks for: those that it limits, and one minimised."""
+    """Return the quantities whose values a problem needs: its limits, and its objective."""
     objective = problem.objective_condition
     return problem.conditions + (() if objective is None else (objective,))
 
 
 def cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
-    """Expected cost from failing until the run ends, [1]; [0] where runs are over with failing.
+    """Return the expected cost from failing until the end, [1]; [0] if failing ends runs.
 
     Args:
-        chain: the policy's.
+        chain: chain of the policy.
         counted: nodes at which failure has not been declared, [nodes].
     """
     if (label := chain.model.failure_label) is None:
@@ -748,7 +746,7 @@ def cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
 
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> list[float]:
-    """Value of each quantity that a problem asks for, [quantities]."""
+    """Return the value of each quantity that a problem needs, [quantities]."""
     return [
         asked.constant
         + sum(w * _quantity_value(chain, counted, problem, term) for w, term in asked.terms)
@@ -757,7 +755,7 @@ def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> list[
 
 
 def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Term) -> float:
-    """Value of one term of a quantity on a policy's chain: cost, visits, or way to end."""
+    """Return the value of a quantity's term on a policy's chain: cost, visits, or probability."""
     survival, semantics = survival_of(problem.discount), problem.semantics
     if term.through and chain.model.failure_label is not None:  # to the true end of the run
         semantics, counted = replace(semantics, give_up=GiveUp.DEAD_ENDS), chain.settling
@@ -778,13 +776,13 @@ def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Te
 def ending_values(
     chain: Chain, at_end: FloatArray, survival: float = 1.0, at_stop: FloatArray | float = 0.0
 ) -> FloatArray:
-    """Probability of ending in some nodes, discounted, from each node, [nodes, ways].
+    """Return the probability of ending in some nodes, discounted, from each node, [nodes, ways].
 
     Args:
         chain: the chain.
-        at_end: which goals and dead-ends belong to each way, [nodes, ways].
-        survival: the discount.
-        at_stop: where giving up does, [nodes, ways].
+        at_end: masks of the goals and dead-ends of each way, [nodes, ways].
+        survival: discount.
+        at_stop: masks of the nodes where giving up counts for each way, [nodes, ways].
     """
     settling = chain.settling & (chain.goal == 0) & (chain.dead == 0)
     hits = survival * chain.ahead(at_end) + chain.give_up[:, None] * at_stop
@@ -799,14 +797,14 @@ def value_until_failure(
     free: BoolArray | None = None,
     start: FloatArray | None = None,
 ) -> float:
-    """E[r_tau] from the start: stage costs while the goal is in reach, then what failing costs.
+    """Return E[r_tau] from the start: stage costs while the goal is reachable, then the charge.
 
     Args:
-        chain: the chain, with the costs that count.
+        chain: chain with the costs that count.
         hopeful: nodes at which failure has not been declared, [nodes].
-        semantics: what failing costs.
+        semantics: cost of failing.
         survival: the discount.
-        free: pairs that are free in these costs, [pairs]; None: those that cost nothing.
+        free: pairs that are free in these costs, [pairs]; None: those of cost 0.
         start: mass that enters, [nodes]; None: the chain's own.
     """
     start = chain.start if start is None else start
@@ -824,5 +822,5 @@ def value_until_failure(
 
 
 def complement(probability: float) -> float:
-    """Value of a quantity's complement: 1 less a probability, within [0, 1]."""
+    """Return 1 minus a probability, within [0, 1]."""
     return min(max(1.0 - probability, 0.0), 1.0)

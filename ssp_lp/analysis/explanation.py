@@ -1,4 +1,4 @@
-"""Why a solution takes an action: the actions of one state side by side, at the optimal prices."""
+"""Reasons for an action of a solution: a state's actions compared at the optimal prices."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from ssp_lp.programs.occupation_measure import StateValues
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
-_TIGHT = 1e-9  # reduced cost, relative to the greatest value, of an action that is as good as any
+_TIGHT = 1e-9  # reduced cost, relative to the greatest value, of an optimal action
 
 
 class ActionValue(NamedTuple):
-    """An action of the explained state: what follows when it is taken first."""
+    """An action of the explained state, with the expected amounts that follow it."""
 
     action: Hashable  # of the model, ``GIVE_UP`` or "stay for ever"
-    share: float  # probability with which the solution takes it there; nan where it never comes
+    share: float  # probability of the action in the solution; nan in a state that it never reaches
     amounts: tuple[float, ...]  # of each quantity in ``Explanation.quantities``
     value: float  # the amounts weighted by ``Explanation.weights``
-    excess: float  # value less the least value of the state's actions
+    excess: float  # value minus the least value of the state's actions
 
 
 @dataclass(frozen=True, repr=False)
 class Explanation(Report):
-    """The actions of one state, the best first.
+    """The actions of a state, the best first.
 
-    Each action is taken once, and an optimal policy at the optimal prices is followed afterwards.
-    The value of an action is the weighted sum of the amounts that follow: the cost, plus for each
-    row the price times the amount, minus in case S c* times the goal probability. An action with
-    excess 0 is optimal; a lottery mixes policies that take several of them.
+    Each action is taken once, followed by an optimal policy at the optimal prices. The value of an
+    action is the weighted sum of the amounts that follow: the cost, plus for each row the price
+    times the amount, minus in case S c* times the goal probability. An action with excess 0 is
+    optimal; a lottery mixes policies that take different optimal actions.
     """
 
     state: Hashable
-    cost_paid: float | None  # before, in case S; None where the total cost does not matter
+    cost_paid: float | None  # before, in case S; None if the total cost does not matter
     quantities: tuple[str, ...]  # "cost", "goal" in case S, "failure", then each other row
     weights: tuple[float, ...]  # 1, -c* for the goal, the price of each row; 0 without a price
     actions: tuple[ActionValue, ...]
 
     def tables(self) -> list[Table]:
-        """One table with a row for each action, under the weights of the quantities."""
+        """Return a table with a row for each action, titled by the weights of the quantities."""
         paid = "" if self.cost_paid is None else f" after a cost of {self.cost_paid:g}"
         terms = [
             f"{'-' if weight < 0.0 else '+'} {abs(weight):.6g} x {name}"
@@ -77,12 +77,12 @@ def explanation(
     """Explain the actions of a state by the state values of the problem's program.
 
     Args:
-        values: at the optimal prices.
-        prices: of the rows, by name.
+        values: state values at the optimal prices.
+        prices: prices of the rows, by name.
         ratio: c* in case S.
-        policy: what the solution does: its equivalent randomised policy.
-        state: of the model, or of a product that the problem is solved on.
-        cost_paid: in case S, one of the totals that the program has; None: the least of them.
+        policy: randomised policy equivalent to the solution.
+        state: state of the model, or of the product that is solved.
+        cost_paid: in case S, one of the program's totals; None: the least of them.
 
     Raises:
         ModelError: the program has no such state, or not at this cost.
@@ -95,7 +95,7 @@ def explanation(
     if len(np.unique(process.pair_state[columns])) != 1:
         some = [f"{label.state!r}{label.paid}" for label in labels.values()]
         there = f"; there is {' and '.join(dict.fromkeys(some[:3]))}" if some else ""
-        raise ModelError(f"nothing is decided in {state!r} alone, at the cost {total}{there}")
+        raise ModelError(f"the solution has no decision in {state!r} alone, at cost {total}{there}")
     names, weights, rewards = zip(*_counted_quantities(program, prices, ratio), strict=True)
     amounts = _following(values, np.stack(rewards))[:, columns]
     worth = np.array(weights) @ amounts
@@ -123,7 +123,7 @@ def explanation(
 def _counted_quantities(
     program: OccupationProgram, prices: Mapping[str, float], ratio: float
 ) -> list[tuple[str, float, FloatArray]]:
-    """The objective, the goal in case S, failing, and each row: name, weight, [pairs]."""
+    """Return the objective, the goal in case S, failing, and each row: name, weight, [pairs]."""
     process = program.process
     counted = [(program.objective, 1.0, process.cost)]
     if program.ratio:
@@ -136,7 +136,7 @@ def _counted_quantities(
 
 
 def _following(values: StateValues, rewards: FloatArray) -> FloatArray:
-    """Amount of each explained quantity that follows each pair, [quantities, pairs]."""
+    """Return the expected amount of each quantity after each pair, [quantities, pairs]."""
     process, dynamics = values.program.process, values.program.process.dynamics
     scale = max(float(np.abs(values.states).max(initial=0.0)), 1.0)
     tight = values.reduced_costs <= _TIGHT * scale

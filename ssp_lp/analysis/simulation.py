@@ -1,6 +1,6 @@
-"""Simulation of a policy, vectorised over episodes, in the model or in a world of the user's.
+"""Simulation of a policy, vectorised over episodes, in the model or in a world of your own.
 
-Means come with confidence intervals that hold for rare dear events, too (:class:`Estimate`).
+Means have confidence intervals that are valid for rare expensive events, too (:class:`Estimate`).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Estimate(NamedTuple):
     standard_error: float | None = None  # of a mean cost
 
     def __str__(self) -> str:
-        """The mean, its standard error and the interval; or that no episode reached the goal."""
+        """Return the mean, its standard error and interval, or that no episode reached the goal."""
         if self.value != self.value:
             return "unknown: no episode reached the goal"
         error = "" if self.standard_error is None else f" ± {self.standard_error:.2g}"
@@ -60,7 +60,7 @@ class Estimate(NamedTuple):
 
 
 def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
-    """Estimate a simulated probability by Clopper and Pearson's exact interval."""
+    """Return the estimate of a probability with Clopper and Pearson's exact interval."""
     from scipy import special
 
     miss = (1.0 - confidence) / 2.0
@@ -70,19 +70,19 @@ def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
 
 
 def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimate:
-    """Estimate a simulated mean cost by an interval valid for any law; nan for no sample.
+    """Return the estimate of a mean cost with an interval valid for any law; nan without sample.
 
-    Where an episode pays for ever, the mean is infinite, and so are both ends.
+    If an episode pays for ever, the mean and both ends are infinite.
 
-    It holds for rare dear events that the sample need not show, of which normal intervals and the
-    bootstrap know nothing: the upper end is the empirical Bernstein bound, which counts what costs
-    up to ``most`` may add. The lower end asks for no greatest cost: it is the integral of the
-    sample's survival function less what that may exceed the law's by.
+    The interval is valid for rare expensive events that the sample may not contain, unlike normal
+    intervals and the bootstrap: the upper end is the empirical Bernstein bound, which includes
+    costs up to ``most``. The lower end needs no greatest cost: it is the integral of the sample's
+    survival function minus its greatest excess over the law's.
 
     Args:
-        sample: of costs in [0, most], each drawn alike.
-        confidence: of the interval, half of the rest on either side.
-        most: the greatest cost that can occur.
+        sample: costs in [0, most], independent and identically distributed.
+        confidence: of the interval, with half of the error on either side.
+        most: greatest cost that can occur.
 
     Reference:
         Maurer and Pontil, COLT 2009, theorem 4; Anderson, Confidence limits for the expected value
@@ -95,9 +95,9 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
         return Estimate(mean, 0.0 if mean < float("inf") else mean, most, confidence)
     log = float(np.log(4.0 / (1.0 - confidence)))
     spread = float(np.sqrt(2.0 * log / sample.size) * sample.std(ddof=1))
-    unseen = 7.0 * log / (3.0 * (sample.size - 1))  # times the range: what the spread may miss
+    unseen = 7.0 * log / (3.0 * (sample.size - 1))  # times the range: error of the variance
     exceed = float(np.sqrt(np.log(2.0 / (1.0 - confidence)) / (2.0 * sample.size)))
-    above = np.arange(sample.size, 0, -1) / sample.size  # share of the sample, from each cost on
+    above = np.arange(sample.size, 0, -1) / sample.size  # share of the sample from each cost up
     low = float(np.diff(np.sort(sample), prepend=0.0) @ np.maximum(above - exceed, 0.0))
     error = float(sample.std(ddof=1) / np.sqrt(sample.size))
     return Estimate(mean, low, min(mean + spread + unseen * most, most), confidence, error)
@@ -106,20 +106,20 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
 def greatest_total(
     model: SSP, steps: int, pairs: BoolArray | None = None, most_work: int = 300_000_000
 ) -> tuple[float, bool]:
-    """Greatest total cost of a simulated episode of at most so many steps.
+    """Return the greatest total cost of a simulated episode with at most so many steps.
 
-    Steps within a strong component may be repeated, others come once: they add up to the dearest
-    way through the components.
+    Steps within a strong component may be repeated, others occur once: the total is that of the
+    most expensive path through the components.
 
     Args:
         model: the model.
-        steps: of an episode.
-        pairs: those that the policy takes, [pairs]; None: any.
-        most_work: outcomes looked at for the dearest way, in a few seconds; beyond, each step
-            counts as the dearest.
+        steps: greatest number of steps of an episode.
+        pairs: pairs of the policy, [pairs]; None: all.
+        most_work: outcomes examined for the most expensive path, in a few seconds; beyond that,
+            each step counts as the most expensive one.
 
     Returns:
-        The total, and whether more steps would allow for more.
+        The total, and whether more steps would increase it.
     """
     over = dead_ends(model) | model.goal_mask
     starts = model.outcome_offsets[model.pair_offsets]  # of each state's outcomes, [states + 1]
@@ -145,7 +145,7 @@ def greatest_total(
 
 
 def pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
-    """Pairs that a simulated policy takes somewhere, [pairs]; None: that is not known."""
+    """Return the pairs that a simulated policy may take, [pairs]; None if unknown."""
     try:
         table = policy.table()
     except ModelError:
@@ -164,7 +164,7 @@ class Simulator(Protocol):
     """A world in which episodes are played, many at a time."""
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Begin simulated episodes: their worlds, [episodes, ...], and states, [episodes]."""
+        """Start episodes; return their worlds, [episodes, ...], and states, [episodes]."""
         ...
 
     def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
@@ -201,24 +201,24 @@ class ModelSimulator:
 
     @cached_property
     def _sums(self) -> FloatArray:
-        """Running sums of probabilities after a leading 0, for the simulator's draws."""
+        """Cumulative probabilities after a leading 0, for the simulator's draws."""
         return np.append(0.0, np.cumsum(self.model.probabilities))
 
 
 @dataclass(frozen=True, eq=False)
 class _ProductSimulator:
-    """A world of the original's states as one that counts steps, or labels failing."""
+    """Simulator on a product that counts steps or labels failing, by one on the original."""
 
     inner: Simulator
     product: ProductSSP
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Begin episodes, no step taken, none of which has failed."""
+        """Start episodes, with no step taken and no failure."""
         world, state = self.inner.reset(episodes, rng)
         return world, self.product.table[state, self.product.first_memory(state)]
 
     def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
-        """Take one step in the world, and count it, or move the label."""
+        """Take a step in the world, and update the count or the label."""
         moved, state, cost = self.inner.step(world, self.product.original_pair[pair], rng)
         _check_simulated_states(self.product.original, state)
         return moved, self.product.moved(pair, state, cost), cost
@@ -226,9 +226,9 @@ class _ProductSimulator:
 
 @dataclass(frozen=True, eq=False)
 class _TrackedSimulator(ModelSimulator):
-    """A model with automata as a world of the stated model's states.
+    """Simulator on a product with automata, with the states of the stated model.
 
-    The automata read its outcomes, of which states and costs may say too little.
+    The automata read outcomes, which states and costs may not determine.
     """
 
     seen: IntArray  # [states] of the stated model
@@ -245,7 +245,7 @@ class _TrackedSimulator(ModelSimulator):
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
-    """A simulated world of the stated model's states as one of the model solved on."""
+    """Return a simulator on the model that is solved, given one on the stated model."""
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
     inner = _on_products(simulator, model.original, stated)
@@ -271,12 +271,12 @@ class SimulationReport(Facts, ReadOnlyCopies):
     mean_steps: float
     max_steps: int  # after which an episode counted as unfinished
     paths: tuple[World, ...]  # worlds of the first recorded episodes, [steps + 1, ...] each
-    cost_after_failing: Estimate | None = None  # until the true end; None: runs are over by failing
-    is_most_cut: bool = False  # whether costs have no greatest total but that of max_steps
+    cost_after_failing: Estimate | None = None  # until the true end; None: failing ends runs
+    is_most_cut: bool = False  # whether only max_steps bounds the total cost
 
     @property
     def note(self) -> str:
-        """Note of a simulation cut off by ``max_steps``: costs are of what was played; else ""."""
+        """Note on costs cut off by ``max_steps``, or empty."""
         cut, steps = self.ends["unfinished"], f"{self.max_steps:,} steps"
         if cut:
             return f"costs are cut: {cut:,} episodes were unfinished after {steps}"
@@ -293,7 +293,7 @@ class SimulationReport(Facts, ReadOnlyCopies):
         return Estimate(*miss, reached.confidence)
 
     def tables(self) -> list[Table]:
-        """How the episodes ended, and the costs with their intervals."""
+        """Return a table of the ends of the episodes, and the costs with their intervals."""
         return [
             Table([
                 ("episodes", self.episodes),
@@ -324,26 +324,26 @@ def simulate(
     """Play episodes and count how they end.
 
     An episode ends at a goal, in a dead-end, when the policy gives up, or unfinished after
-    ``max_steps``. A mixed policy draws one member for each episode. Its cost counts as
-    :func:`evaluate` has it, until the policy has lost the goal in the model.
+    ``max_steps``. A mixed policy draws one member for each episode. Costs count as in
+    :func:`evaluate`, until the policy has lost the goal in the model.
 
-    Intervals of probabilities are Clopper and Pearson's, those of mean costs hold for rare dear
-    events too (``mean_estimate``): upwards, by empirical Bernstein, as far as the dearest episode
-    that the policy can play in ``max_steps`` steps asks for, in a world of one's own at the model's
-    costs. Where episodes are unfinished costs are those of what was played. The report's ``note``
-    says so, and where the policy itself sets no greatest total.
+    Intervals of probabilities are Clopper and Pearson's; those of mean costs are valid for rare
+    expensive events, too (``mean_estimate``): their upper ends, by empirical Bernstein, depend on
+    the most expensive episode that the policy can play in ``max_steps`` steps (in a world of your
+    own, at the model's costs). Costs of unfinished episodes are those up to ``max_steps``. The
+    report's ``note`` says so, and says if only ``max_steps`` bounds the total cost.
 
     Args:
         policy: the policy, on the problem's model.
-        problem: says the start and what failing costs.
-        episodes: how many to play.
-        seed: the source of all randomness: a number, with which every call plays the same
-            episodes, or a generator.
+        problem: problem with the start and the cost of failing.
+        episodes: number of episodes.
+        seed: source of all randomness: a number, with which every call plays the same episodes, or
+            a generator.
         max_steps: steps after which an episode counts as unfinished.
         simulator: another world than the model, such as a continuous one.
-        record: keep the paths of this many first episodes.
-        confidence: of the intervals.
-        verbose: show how far it has come (``ssp_lp.progress_shown``).
+        record: number of first episodes whose paths are kept.
+        confidence: confidence of the intervals.
+        verbose: show progress (``ssp_lp.progress_shown``).
 
     Raises:
         ModelError: wrong arguments, or a state in which the policy has no decision.
@@ -373,11 +373,11 @@ def simulate(
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """What became of simulated episodes."""
+    """Results of simulated episodes."""
 
-    mark: IntArray  # [episodes] as of graph.end_marks, -1 for unfinished
+    mark: IntArray  # [episodes] numbers of graph.end_marks, -1 for unfinished
     cost: FloatArray  # [episodes] total of stage costs until failing
-    charge: FloatArray  # [episodes] what failing cost in the end
+    charge: FloatArray  # [episodes] charge for failing
     later: FloatArray  # [episodes] total of stage costs after failing
     steps: IntArray  # [episodes]
     paths: tuple[World, ...]
@@ -444,13 +444,13 @@ def _simulate_episodes(
 
 
 def _check_simulated_states(model: SSP, state: IntArray) -> None:
-    """Raise unless a simulator handed back states of the model."""
+    """Raise :class:`ModelError` unless a simulator returned states of the model."""
     if ((state < 0) | (state >= model.n_states)).any():
         raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
 
 
 def failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """What failing costs who enters a dead-end, and who gives up or has lost the goal, [states]."""
+    """Return the charges of entering a dead-end, and of giving up or losing the goal, [states]."""
     model, semantics = problem.model, problem.semantics
     entering = entering_charges(model, semantics)
     if semantics.forbids_failing:
@@ -467,21 +467,21 @@ def simulation_report(
     is_cut: bool,
     dearest: float,
 ) -> SimulationReport:
-    """Report of the episodes that a simulation played.
+    """Return the report of the episodes that a simulation played.
 
     Args:
-        problem: whose model they were played on.
-        played: what became of them.
-        confidence: of the intervals.
-        max_steps: after which they counted as unfinished.
-        most: the greatest total that an episode can pay in so many steps.
-        is_cut: whether more steps would allow for more.
-        dearest: the greatest cost of a step.
+        problem: problem whose model was played.
+        played: results of the episodes.
+        confidence: confidence of the intervals.
+        max_steps: steps after which an episode counted as unfinished.
+        most: greatest total that an episode can pay in so many steps.
+        is_cut: whether more steps would increase the greatest total.
+        dearest: greatest cost of a step.
     """
     names = ["goal", *problem.model.state_labels, "dead_end", "gave_up"]
     ends = {name: int((played.mark == i).sum()) for i, name in enumerate(names)}
     ends["unfinished"] = int((played.mark < 0).sum())
-    reached, charged = played.mark == 0, most + dearest  # failing costs a step at most
+    reached, charged = played.mark == 0, most + dearest  # failing costs at most a step
     after = None
     if (label := problem.model.failure_label) is not None:
         later = max_steps * float(label.original.costs.max(initial=0.0))

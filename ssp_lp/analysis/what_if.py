@@ -1,7 +1,7 @@
-"""Which number matters? Derivatives of the optimum by the numbers of a problem.
+"""Sensitivity: derivatives of the optimum by the numbers of a problem.
 
-By the envelope theorem the optimum moves as the Lagrangian of an optimal lottery x and optimal
-prices does. An outcome o of a pair is worth, at the prices,
+By the envelope theorem the derivative of the optimum is that of the Lagrangian at an optimal
+lottery x and optimal prices. The worth of an outcome o of a pair, at the prices, is
 
     worth(o) = cost + sum of price * quantity + value of its successor,
 
@@ -10,8 +10,8 @@ outcome o to o' changes the optimum by x * (worth(o') - worth(o)), a cost by x *
 bound by minus its price, the start by a difference of values. In case S the same holds at each
 accumulated cost, with -c* as the value of the goal, divided by the goal probability.
 
-Where lottery or prices are not the only optimal ones, the formula is read a little beside, on both
-sides, and checked against differences of the optimum.
+If lottery or prices are not the only optimal ones, the formula is evaluated at nearby numbers on
+both sides, and checked against differences of the optimum.
 """
 
 from __future__ import annotations
@@ -46,19 +46,19 @@ from ssp_lp.processes.failure_semantics import (
 from ssp_lp.processes.live_rows import cost_means, costless_pairs
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
-_SAME = 1e-9  # of the greatest value, or a probability: less is rounding
-_STEP = 1e-5  # beside the numbers of the problem, where one side is read
+_SAME = 1e-9  # relative to the greatest value, or a probability: less is rounding
+_STEP = 1e-5  # to the nearby numbers at which one-sided derivatives are evaluated
 _AGREES = 1e-4  # relative difference of a one-sided derivative and of optima
 _IDENTITY = 1e-6  # relative: worths of outcomes make up the values of their state
-_BEYOND = 1e-12  # probability of success beyond the last total that is told apart
-_FIRST_CAP, _LAST_CAP = 16.0, 5000.0  # totals told apart, in greatest costs of a step
+_BEYOND = 1e-12  # probability of success beyond the last total that is distinguished
+_FIRST_CAP, _LAST_CAP = 16.0, 5000.0  # of distinguished totals, in greatest costs of a step
 _SHOWN = 15  # rows of the text
 _EDGE = 1e-6  # relative accuracy of a breakpoint
-_FARTHEST = 1e3  # step of a number without an end of its own
+_FARTHEST = 1e3  # greatest step of a number without an end of its own
 
 
 def _added(*parts: Mapping[Any, float]) -> dict[Any, float]:
-    """The sum of vectors that are stated by their entries."""
+    """Return the sum of vectors given by their nonzero entries."""
     total = dict[Any, float]()
     for part in parts:
         for key, value in part.items():
@@ -68,7 +68,7 @@ def _added(*parts: Mapping[Any, float]) -> dict[Any, float]:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A direction in which numbers of a problem move: how much each moves per unit of the step."""
+    """A direction in which numbers of a problem move: the change of each per unit of the step."""
 
     probabilities: Mapping[int, float] = field(default_factory=dict)  # by outcome; sum 0 a pair
     costs: Mapping[tuple[str, int], float] = field(default_factory=dict)  # by name and outcome
@@ -76,7 +76,7 @@ class Change:
     start: Mapping[int, float] = field(default_factory=dict)  # by state; sum 0
 
     def __add__(self, other: Change) -> Change:
-        """Both moves at once."""
+        """Return both changes together."""
         return Change(
             _added(self.probabilities, other.probabilities),
             _added(self.costs, other.costs),
@@ -85,10 +85,10 @@ class Change:
         )
 
     def applied(self, problem: Problem, step: float) -> Problem:
-        """The problem with its numbers moved by a step.
+        """Return the problem with its numbers moved by a step.
 
         Raises:
-            ModelError: the criterion refuses the numbers.
+            ModelError: the criterion rejects the numbers.
         """
         stated: dict[str, Any] = as_stated(problem)
         if self.probabilities or self.costs:
@@ -112,7 +112,7 @@ class Change:
         return cast("Problem", replace(cast("Any", problem), constraints=limits, **stated))
 
     def most(self, problem: Problem, sign: float) -> float:
-        """The greatest step in a direction that leaves every number at least 0."""
+        """Return the greatest step in a direction that keeps every number at least 0."""
         costs = problem.model.costs_by_name
         start = start_distribution(problem.model, problem.start) if self.start else np.zeros(0)
         at = [
@@ -130,22 +130,22 @@ class Number:
     kind: str  # "probability", "cost", "bound", "start", "parameter" or "group"
     name: str
     value: float | None  # None: of a group
-    change: Change = field(repr=False)  # when it rises; a probability takes from the others
+    change: Change = field(repr=False)  # when it rises; for a probability the others fall
     state: Hashable = None
     action: Hashable = None
     successor: Hashable = None
-    is_rest: bool = False  # the likelier of two outcomes: its derivative is that of the other, less
+    is_rest: bool = False  # the likelier of two outcomes: minus the derivative of the other
 
     @property
     def scale(self) -> float:
-        """Size of a number, by which its derivative counts: of a probability p min(p, 1 - p)."""
+        """Size of a number, which weights its derivative: of a probability p min(p, 1 - p)."""
         size = 1.0 if self.value is None else abs(self.value)
         return min(size, 1.0 - size) if self.kind in ("probability", "start") else size
 
 
 @dataclass(frozen=True)
 class Effect:
-    """How the optimum moves with a number: its derivatives to the left and to the right."""
+    """Derivatives of the optimum by a number, to the left and to the right."""
 
     number: Number
     left: float | None  # None: see the note
@@ -154,7 +154,7 @@ class Effect:
 
     @property
     def derivative(self) -> float | None:
-        """The derivative where both sides agree; else None."""
+        """Derivative if both sides agree, otherwise None."""
         left, right = self.left, self.right
         if left is None or right is None:
             return None
@@ -163,15 +163,15 @@ class Effect:
 
     @property
     def weight(self) -> float:
-        """Change of the optimum, by the derivatives, when the number moves by all of its size."""
+        """Change of the optimum, by the derivatives, when the number moves by its size."""
         return max(abs(side or 0.0) for side in (self.left, self.right)) * self.number.scale
 
 
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """An optimal lottery and optimal prices of a problem, and how the optimum moves with them.
+    """An optimal lottery and optimal prices of a problem, with derivatives of the optimum.
 
-    Arrays are on the model that is solved: with a horizon that of (state, steps taken).
+    Arrays are on the model that is solved: with a horizon, on (state, steps taken).
     """
 
     problem: Problem  # the one that is solved
@@ -181,7 +181,7 @@ class _Optimum:
     def of(cls, problem: Problem) -> _Optimum:
         """Solve the problem's program.
 
-        In case S totals are told apart until nothing succeeds beyond them.
+        In case S totals are distinguished up to one beyond which no run succeeds.
 
         Raises:
             InfeasibleError: no policy satisfies the limits.
@@ -203,7 +203,7 @@ class _Optimum:
 
     @cached_property
     def objective(self) -> float:
-        """The optimum."""
+        """Optimal value."""
         return self.measure.objective
 
     @cached_property
@@ -216,17 +216,17 @@ class _Optimum:
 
     @cached_property
     def values(self) -> FloatArray:
-        """Value of each node at each total, nan where no run comes, [copies * nodes]."""
+        """Value of each node at each total, nan if no run reaches it, [copies * nodes]."""
         augmented, found = self.measure.program.augmented, self.measure.values
         if found is None:
-            raise SolverError("nothing is known of the duals of the program")
+            raise SolverError("the program has no dual values")
         every = np.full(augmented.copies * augmented.quotient.n_nodes + 1, np.nan)
         every[augmented.part.states] = found.states
         return every
 
     @cached_property
     def rows(self) -> list[tuple[float, UpperRow]]:
-        """Limits of the problem that have a price, in the form that the program has."""
+        """Limits of the problem that have a price, in the form of the program."""
         prices, bounds = self.measure.prices, self.measure.program.bounds
         priced = list[tuple[float, UpperRow]]()
         for row in (row for condition in self.problem.conditions for row in condition.rows):
@@ -238,7 +238,7 @@ class _Optimum:
 
     @cached_property
     def paid(self) -> list[tuple[float, SSP]]:
-        """Costs of steps that count, as weights and models that have them as their own."""
+        """Costs of steps that count, as weights and models whose own costs they are."""
         model, semantics = self.problem.model, self.problem.semantics
         counts = not self.problem.ratio and semantics.aim is Aim.LEAST_COST
         own = [(1.0, model)] if counts else []
@@ -256,7 +256,7 @@ class _Optimum:
 
     @cached_property
     def ends(self) -> tuple[FloatArray, float]:
-        """Worth of entering each state, what follows in live ones apart, [states]; of leaking."""
+        """Worth of entering each state, except what follows in live ones, [states]; of leaking."""
         quotient = self.measure.program.augmented.quotient
         model, goal, dead = self.problem.model, self.problem.model.goal_mask, quotient.dead
         ended, entering, leak = quotient.node_of < 0, np.zeros(model.n_states), self.failing
@@ -283,8 +283,8 @@ class _Optimum:
         """Outcomes of the program's columns.
 
         Returns:
-            Column, outcome, place among ``values`` of what follows (-1: an end), and worth of each,
-            [entries].
+            Column, outcome, place among ``values`` of the successor (-1: an end), and worth of
+            each, [entries].
         """
         augmented, model = self.measure.program.augmented, self.problem.model
         quotient, survival = augmented.quotient, survival_of(self.problem.discount)
@@ -317,10 +317,10 @@ class _Optimum:
     def _check(
         self, own: IntArray, copy: IntArray, each: IntArray, parts: FloatArray, leak: float
     ) -> None:
-        """Check that worths of outcomes make up the values of their states.
+        """Check that the worths of outcomes sum to the values of their states.
 
         Raises:
-            ModelError: they do not: something counts that is not known here.
+            ModelError: they do not, so that an unknown quantity counts.
         """
         found, augmented = self.measure.values, self.measure.program.augmented
         process = self.measure.program.process
@@ -330,11 +330,11 @@ class _Optimum:
         wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
         if wrong.any():
             label = self.measure.program.label(int(own[np.argmax(wrong)]))
-            raise ModelError(f"what {label} costs is more than its outcomes say: no derivatives")
+            raise ModelError(f"{label} costs more than its outcomes: no derivatives")
 
     @cached_property
     def by_probability(self) -> FloatArray:
-        """Derivative by the probability of each outcome, up to a constant a pair, [outcomes]."""
+        """Derivative by the probability of each outcome, up to a constant per pair, [outcomes]."""
         column, outcome, _, worth = self.outcomes
         taken = self.measure.visits[column]
         change = np.where(taken > 0.0, taken * worth, 0.0)
@@ -369,7 +369,7 @@ class _Optimum:
         return {name: name in paid or name == own for name in by_name}
 
     def _name_of(self, costs: SSP) -> str | None:
-        """Name of the model's cost that another model has as its own; None: it is not one."""
+        """Return the name of the cost that another model has as its own, or None."""
         by_name = self.problem.model.costs_by_name.items()
         same = (name for name, each in by_name if each is costs.costs)
         own = next(iter(self.problem.model.costs_by_name))
@@ -378,7 +378,7 @@ class _Optimum:
 
     @cached_property
     def _met_on_the_way_to_success(self) -> FloatArray:
-        """How often each outcome is met by runs that succeed later, in case S, [outcomes]."""
+        """Expected count of each outcome in runs that succeed later, in case S, [outcomes]."""
         model, (column, outcome, place, _) = self.problem.model, self.outcomes
         process, visits = self.measure.program.process, self.measure.visits
         survival, states = survival_of(self.problem.discount), process.n_states
@@ -398,7 +398,7 @@ class _Optimum:
 
     @cached_property
     def charged(self) -> list[tuple[float, SSP, float, slice]]:
-        """Actions whose cost a failing run is charged: weight, model, failing mass, outcomes."""
+        """Actions whose cost failing runs pay: weight, model, failing mass, outcomes."""
         if not self.problem.semantics.charge_failing_step:
             return []
         program, model = self.measure.program, self.problem.model
@@ -427,7 +427,7 @@ class _Optimum:
 
     @cached_property
     def by_start(self) -> FloatArray:
-        """Derivative by the start's probability of each state, nan where nothing is known."""
+        """Derivative by the start's probability of each state, nan if unknown."""
         quotient, (entering, _) = self.measure.program.augmented.quotient, self.ends
         live = quotient.node_of >= 0
         begun = np.where(live, self.values[np.where(live, quotient.node_of, 0)], entering)
@@ -456,19 +456,19 @@ class _Optimum:
 
     @property
     def counting_steps(self) -> ProductSSP | None:
-        """The model of (state, steps taken) that is solved with a horizon; None: there is none."""
+        """Model of (state, steps taken) that is solved with a horizon, or None."""
         model = self.problem.model
         return model if isinstance(model, ProductSSP) and model.is_hidden else None
 
     def _stated(self, per_outcome: FloatArray) -> FloatArray:
-        """Numbers by outcome of the model as stated, [outcomes], of those that are solved."""
+        """Return the stated model's numbers by outcome from the solved model's, [outcomes]."""
         if (counting := self.counting_steps) is None:
             return per_outcome
         places, size = counting.original_outcome, counting.original.n_outcomes
         return np.bincount(places, per_outcome, size).astype(np.float64)
 
     def along(self, change: Change) -> float:
-        """Derivative of the optimum when numbers move together."""
+        """Return the derivative of the optimum when numbers move together."""
         return float(sum((
             *(slope * self.by_probability[k] for k, slope in change.probabilities.items()),
             *(slope * self.by_cost[name][k] for (name, k), slope in change.costs.items()),
@@ -478,7 +478,7 @@ class _Optimum:
 
     @cached_property
     def support(self) -> frozenset[Hashable]:
-        """Columns that are taken, by their numbers among all copies, and rows with a price."""
+        """Used columns, by their numbers among all copies, and rows with a price."""
         pairs = self.measure.program.augmented.part.pairs[self.measure.visits > _SAME]
         return frozenset(pairs.tolist()) | {n for n, y in self.measure.prices.items() if y > _SAME}
 
@@ -486,9 +486,9 @@ class _Optimum:
     def is_unique(self) -> bool:
         """Whether lottery and prices are the only optimal ones.
 
-        They are where every optimal pair of a visited state is used, where there are as many more
-        of these than states as there are rows with a price, and where every row that is met has
-        one; and no failing charge is met by two actions.
+        They are if every optimal pair of a visited state is used, if the number of these pairs
+        minus that of states is the number of rows with a price, if every tight row has a price, and
+        if no failing charge is attained by two actions.
         """
         measure, process = self.measure, self.measure.program.process
         scale = 1.0 + float(np.nanmax(np.abs(self.values)))
@@ -504,7 +504,7 @@ class _Optimum:
 
     @property
     def _charges_tie(self) -> bool:
-        """Whether another action than the one that is charged costs a failing run as little."""
+        """Whether another action costs a failing run as little as the charged one."""
         model, means = self.problem.model, {id(m): cost_means(m) for _, m in self.paid}
         for _, costs, _, some in self.charged:
             pair = int(np.searchsorted(model.outcome_offsets, some.start, side="right")) - 1
@@ -541,7 +541,7 @@ def _solved_in_time(problem: Problem) -> OccupationMeasure:
 
 
 def _facts(model: SSP) -> dict[str, Any]:
-    """Facts about a model's graph on which the kind of its optimum rests."""
+    """Return the facts about a model's graph that determine the structure of its optimum."""
     attention = attention_states(model)
     return {
         "dead-ends": dead_ends(model),
@@ -555,9 +555,9 @@ def _facts(model: SSP) -> dict[str, Any]:
 class WhatIf(Report):
     """Derivatives of an optimum by the numbers of its problem, those that matter most first.
 
-    A number matters by its derivative times its size, of a probability p by min(p, 1 - p). Numbers
-    that are not listed belong to actions that are not optimal: a small change of theirs changes
-    nothing.
+    A number matters by its derivative times its size, of a probability p min(p, 1 - p). Unlisted
+    numbers belong to actions that are not optimal: changing them slightly does not change the
+    optimum.
     """
 
     problem: Problem
@@ -565,7 +565,7 @@ class WhatIf(Report):
     effects: tuple[Effect, ...] = ()
 
     def effect(self, number: Number | Change) -> Effect:
-        """Derivatives of the optimum by a number, or by several that move together."""
+        """Return the derivatives of the optimum by a number, or by several that move together."""
         if isinstance(number, Change):
             number = Number("group", "change", None, number)
         change = number.change
@@ -588,13 +588,13 @@ class WhatIf(Report):
         return self.optimum.measure.program.at_least and self.problem.failure_budget is not None
 
     def _refused(self, change: Change) -> str:
-        """Why the optimum has no derivative in a direction, in words; empty: it may have one."""
+        """Return the reason why the optimum has no derivative in a direction, or empty."""
         problem, model = self.problem, self.problem.model
         if (change.probabilities or change.start) and problem.reach_fraction is not None:
             return "the greatest goal probability, hence the budget, moves too"
         of_budget = problem.failure_budget is None
         if change.probabilities and of_budget and self.optimum.chooses_among_safest:
-            return "two actions are safest: the least failure decides between them"
+            return "two actions are equally safe: the least failure decides between them"
         costs = model.costs_by_name
         rises = any(s > 0.0 == model.probabilities[k] for k, s in change.probabilities.items())
         rises |= any(s > 0.0 == costs[name][k] for (name, k), s in change.costs.items())
@@ -607,7 +607,7 @@ class WhatIf(Report):
         return ""
 
     def _side(self, change: Change, sign: float) -> tuple[float | None, str]:
-        """One-sided derivative, read a little beside; None with the reason where it cannot be."""
+        """Return a one-sided derivative, evaluated nearby; or None and the reason."""
         side, most = "left" if sign < 0.0 else "right", change.most(self.problem, sign)
         if most <= 0.0:
             return None, f"{side}: a number would be negative"
@@ -624,25 +624,25 @@ class WhatIf(Report):
         before = (near.objective - self.optimum.objective) / step
         room = _AGREES * (1.0 + abs(slope)) + bend
         if abs(between - sum(slopes) / 2.0) > room or abs(before - slope) > room:
-            return None, f"{side}: the formula disagrees with the optima beside"
+            return None, f"{side}: the formula disagrees with nearby optima"
         return float(slope), ""
 
     def breakpoints(self, number: Number | Change) -> tuple[float, float]:
-        """Steps to the left and to the right up to which the same actions are optimal and used.
+        """Return the steps to the left and to the right up to which the same actions are optimal.
 
-        Found by bisection, to a relative accuracy of 1e-6, on solutions of the program: the number
-        may move by any step between the two without a change of the lottery's actions; at a kink
-        one of them is 0. An end where a number is 0, or beyond 1,000, is not passed.
+        They are found by bisection, to a relative accuracy of 1e-6, on solutions of the program:
+        the number may move by any step between the two without a change of the lottery's actions;
+        at a kink one of them is 0. They end where a number is 0, or at 1,000.
         """
         change = number.change if isinstance(number, Number) else number
         return -self._reach(change, -1.0), self._reach(change, 1.0)
 
     def _reach(self, change: Change, sign: float) -> float:
-        """Length of the step in one direction up to the next breakpoint."""
+        """Return the length of the step in one direction up to the next breakpoint."""
         end = min(change.most(self.problem, sign), _FARTHEST)
 
         def stays(step: float) -> bool:
-            """Whether the same actions are optimal and used after a step."""
+            """Return whether the same actions are optimal and used after a step."""
             try:
                 beside = _Optimum.of(change.applied(self.problem, sign * step))
             except SSPError:
@@ -658,7 +658,7 @@ class WhatIf(Report):
         return high if high == end else low
 
     def tables(self) -> list[Table]:
-        """One table with a row for each number, those that matter most first; text shows these."""
+        """Return a table with a row for each number, those that matter most first."""
         rows = [
             (e.number.name, e.number.value, e.derivative, e.left, e.right, e.weight, e.note,
              e.number.kind, e.number.state, e.number.action, e.number.successor)
@@ -679,7 +679,7 @@ class WhatIf(Report):
         return pictures.plot_tornado(self, share=share, most=most, ax=ax)
 
     def __repr__(self) -> str:
-        """One line: how many numbers, and which matters most."""
+        """Return a line with the number of effects, and the greatest one."""
         most = f", most: {self.effects[0].number.name}" if self.effects else ""
         return f"WhatIf({len(self.effects):,} numbers{most})"
 
@@ -690,7 +690,7 @@ def what_if(
     *,
     time_limit: float | None = None,
 ) -> WhatIf:
-    """Derivatives of a problem's optimum by its numbers: see :meth:`Solution.what_if`.
+    """Return the derivatives of a problem's optimum by its numbers: see :meth:`Solution.what_if`.
 
     Raises:
         ModelError: a criterion whose optimum has no such derivatives.
@@ -710,7 +710,7 @@ def what_if(
 
 
 def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None) -> list[Number]:
-    """Numbers as ``by`` groups them; None: each by itself, without those that ``is_rest``."""
+    """Return numbers as grouped by ``by``; None: each alone, without those that ``is_rest``."""
     if by is None:
         return [number for number in numbers if not number.is_rest]
     groups = dict[Hashable, list[Number]]()
@@ -721,7 +721,7 @@ def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None)
 
 
 def _together(name: str, numbers: list[Number]) -> Number:
-    """Several numbers as one, all of which rise by the same step."""
+    """Return several numbers as one, all of which rise by the same step."""
     if len(numbers) == 1:
         return replace(numbers[0], name=name)
     values = {number.value for number in numbers}
@@ -737,17 +737,17 @@ def _check_criterion(problem: Problem) -> None:
     elif problem.own_constraints:
         reason = "has limits of its own: state them as constraints of MCMP or MaxProb"
     elif problem.ratio and "cost_cap" not in {part.name for part in fields(cast("Any", problem))}:
-        reason = "counts no totals: take S3P"
+        reason = "does not count totals: use S3P"
     elif problem.unrolled.model.failure_label is not None:
-        reason = "limits what follows failing"
+        reason = "limits quantities after failing"
     else:
         return
-    raise ModelError(f"what_if answers MCMP, S3P, MaxProb, MinCost and FinitePenalty: {name} "
+    raise ModelError(f"what_if supports MCMP, S3P, MaxProb, MinCost and FinitePenalty: {name} "
                      f"{reason}")  # fmt: skip
 
 
 def _numbers(problem: Problem, optimum: _Optimum) -> Iterator[Number]:
-    """Numbers of a problem that may matter: of bounds, of the start, and of optimal actions."""
+    """Yield a problem's numbers that may matter: bounds, the start, and optimal actions."""
     model = problem.model
     for parameter, placed in model.parameters.items():
         moved = Change(probabilities=placed.probabilities, costs=placed.costs)
@@ -771,7 +771,7 @@ def _numbers(problem: Problem, optimum: _Optimum) -> Iterator[Number]:
 
 
 def _optimal_pairs(optimum: _Optimum) -> IntArray:
-    """Pairs of the model as stated that are optimal in a visited state, or charged to failing."""
+    """Return the stated model's pairs that are optimal in a visited state, or charged."""
     measure, model = optimum.measure, optimum.problem.model
     process, (column, outcome, _, _) = measure.program.process, optimum.outcomes
     here = np.bincount(process.pair_state, measure.visits, process.n_states) > _SAME
@@ -787,19 +787,19 @@ def _optimal_pairs(optimum: _Optimum) -> IntArray:
 
 
 def _in_proportion(shares: FloatArray, places: list[int], place: int) -> dict[int, float]:
-    """One of several shares rises, the others pay for it in proportion."""
+    """Return the changes by which one share rises and the others fall in proportion."""
     rest = 1.0 - float(shares[place])
     paid = {k: -float(shares[k]) / rest for k in places if k != place and shares[k] > 0.0}
     return {place: 1.0, **paid}
 
 
 def _outcomes_of(model: SSP, pair: int) -> list[int]:
-    """Outcomes of a pair."""
+    """Return the outcomes of a pair."""
     return [*range(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))]
 
 
 def _chances_of_pair(model: SSP, pair: int) -> Iterator[Number]:
-    """Probabilities of a pair's outcomes."""
+    """Yield the probabilities of a pair's outcomes."""
     outcomes, chances = _outcomes_of(model, pair), model.probabilities
     state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)
     for k in outcomes:
@@ -813,7 +813,7 @@ def _chances_of_pair(model: SSP, pair: int) -> Iterator[Number]:
 
 
 def _costs_of_pair(model: SSP, pair: int, optimum: _Optimum) -> Iterator[Number]:
-    """Costs of a pair's outcomes that count; one where all outcomes cost the same."""
+    """Yield the costs of a pair's outcomes that count; one if all outcomes cost the same."""
     outcomes = _outcomes_of(model, pair)
     state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)
     for cost, costs in model.costs_by_name.items():

@@ -1,4 +1,4 @@
-"""The worst case of a policy over all probabilities in boxes, each measure by itself."""
+"""The worst case of a policy over all probabilities in boxes, separately for each measure."""
 
 from __future__ import annotations
 
@@ -29,37 +29,37 @@ from ssp_lp.processes.live_rows import costless_pairs
 
 @dataclass(frozen=True, repr=False)
 class WorstCase(Facts):
-    """Worst measures of a policy over boxes, each at probabilities of its own.
+    """Worst measures of a policy over boxes, each at its own probabilities.
 
-    The measures do not occur together: probabilities that make the cost greatest need not make the
-    failure greatest. ``is_exact`` tells whether each is attained (or approached) by one choice of
-    probabilities; else they are bounds, ``goal_probability`` from below and the others from above.
+    The measures need not occur together: probabilities that maximise the cost need not maximise the
+    failure. If ``is_exact``, each is attained (or approached) by one choice of probabilities;
+    otherwise they are bounds, ``goal_probability`` from below and the others from above.
     """
 
     goal_probability: float  # least
     failure_probability: float  # greatest; 1 - goal_probability
     expected_cost: float  # greatest E[r_tau]: until failure is declared, charges included
-    objective: float  # worst value of what the problem optimises
+    objective: float  # worst value of the problem's objective
     ends: Mapping[str, float]  # greatest probability of each way to fail
     is_exact: bool
 
     @property
     def conditional_cost(self) -> float:
-        """Refused: the worst cost given success.
+        """The worst cost given success, which is not available.
 
         Raises:
             ModelError: always.
         """
         raise ModelError(
             "the cost given success has no worst case here: worst cost over least goal probability "
-            "would overstate it without limit; ask for expected_cost and failure_probability"
+            "would overstate it without limit; use expected_cost and failure_probability"
         )
 
     def tables(self) -> list[Table]:
-        """Each measure, and that they do not occur together."""
-        note = "each at probabilities of its own: they do not occur together"
+        """Return a table of all measures, with a note that they need not occur together."""
+        note = "each at its own probabilities: they need not occur together"
         if not self.is_exact:
-            note += "; bounds, as nature may choose for each policy of a lottery or at each visit"
+            note += "; bounds, since nature chooses for each policy of a lottery or at each visit"
         return [
             Table([
                 ("worst objective", self.objective),
@@ -75,17 +75,17 @@ class WorstCase(Facts):
 def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> WorstCase:
     """Evaluate a policy at its worst probabilities in boxes.
 
-    Whether the goal can still be reached, as far as failing is declared by it, is decided by all
-    outcomes that the boxes allow.
+    All outcomes that the boxes allow decide whether the goal can still be reached, and so whether
+    failing is declared.
 
     Args:
-        policy: on the problem's model, or on one with other probabilities for the same outcomes.
-        problem: says the start and the semantics.
-        boxes: of the problem's model.
+        policy: on the problem's model, or on one with other probabilities of the same outcomes.
+        problem: problem with the start and the semantics.
+        boxes: boxes of the problem's model.
 
     Raises:
         ModelError: boxes of another model; a problem with a horizon, a discount, constraints, or a
-            cost given success or a measure of its law; or as of ``evaluate``.
+            cost given success or a measure of its law; or as in ``evaluate``.
     """
     check_problem(problem, "evaluate")
     check_measures(problem)
@@ -110,7 +110,7 @@ def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> 
 
 
 def _measures(boxed: BoxedChain, problem: Problem, boxes: Boxes) -> list[float]:
-    """Worst failure, cost, objective and probability of each way to fail of one policy."""
+    """Return a policy's worst failure, cost, objective and probability of each way to fail."""
     chain, semantics = boxed.chain, problem.semantics
     failing = boxed.failing()
     failure = float(chain.start @ failing)
@@ -136,14 +136,14 @@ def _measures(boxed: BoxedChain, problem: Problem, boxes: Boxes) -> list[float]:
 
 
 def _reach(boxed: BoxedChain, ends: FloatArray, at_stop: float = 0.0) -> float:
-    """Greatest probability of coming to some nodes from the start, or of giving up."""
+    """Return the greatest probability of reaching some nodes from the start, or giving up."""
     nothing, inside = np.zeros(len(boxed.low)), (ends == 0.0) & (boxed.chain.goal == 0.0)
     values = boxed.greatest(nothing, ends, inside, at_stop=at_stop)
     return float(boxed.chain.start @ values)
 
 
 def _cost(boxed: BoxedChain, semantics: FailureSemantics, boxes: Boxes, penalty: float) -> float:
-    """Greatest cost until failure from the start, with a penalty for failing."""
+    """Return the greatest cost until failure from the start, with a penalty for failing."""
     chain = boxed.chain
     inside = boxed.acting if semantics.give_up is GiveUp.DEAD_ENDS else chain.alive
     stopping, entering = worst_charges(semantics, boxes)
@@ -162,7 +162,7 @@ def _cost(boxed: BoxedChain, semantics: FailureSemantics, boxes: Boxes, penalty:
 
 
 def worst_charges(semantics: FailureSemantics, boxes: Boxes) -> tuple[FloatArray, FloatArray]:
-    """Worst charges of giving up, infinite where it is not allowed, and of dead-ends, [states]."""
+    """Return the worst charges of giving up, infinite if forbidden, and of dead-ends, [states]."""
     model = boxes.support
     chosen = greatest_mean(boxes.low, boxes.high, model.costs, model.outcome_offsets)
     costs = segment_sums(chosen * model.costs, model.outcome_offsets)

@@ -1,4 +1,4 @@
-"""Models, policies and solutions in and out: files, arrays, environments of others."""
+"""Files, arrays and environments: models, policies and solutions in other formats."""
 
 from ssp_lp.io.any_format import read_any as read_any, write_any as write_any
 from ssp_lp.io.archives import (

@@ -1,4 +1,4 @@
-"""Models from and to files of any known format: the ending of a file's name says which."""
+"""Reading and writing models in any known format, chosen by the ending of the file's name."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _READERS: dict[str, Callable[..., ModelFile]] = {
     ".umb": read_umb,
     **dict.fromkeys(_STORM, read_with_storm),
 }
-"""What reads a file whose goals are the states of one label, by the ending of its name."""
+"""Readers of formats whose goals are the states of one label, by the ending of the file's name."""
 
 _WRITERS: dict[str, Callable[..., None]] = {**dict.fromkeys(_DRN, write_drn), ".umb": write_umb}
-"""What writes a file that knows one initial state, by the ending of its name."""
+"""Writers of formats with one initial state, by the ending of the file's name."""
 
 
 @explained
@@ -42,23 +42,23 @@ def read_any(
     constants: Constants | None = None,
     dead_ends: DeadEnds | None = None,
 ) -> StatedModel:
-    """Read a model from a file, whose name's ending says in which format it is.
+    """Read a model from a file in the format of its name's ending.
 
     Programs (.prism, .nm, .pm, .jani) are read through Storm (the extra ``storm``).
 
     Args:
         path: the file.
-        goal: name or names of the goal states, or a label of them where the format has labels, or a
+        goal: name or names of the goal states, or a label of them if the format has labels, or a
             condition on the variables of a program.
-        cost: the name of the cost that counts, where the format has several; None: the only one;
-            "*": the first. The others are the model's ``named_costs``.
-        constants: of a program, "N=5,p=0.1" or by name.
-        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+        cost: name of the cost that counts, if the format has several; None: the only one; "*": the
+            first. The others are the model's ``named_costs``.
+        constants: constants of a program, "N=5,p=0.1" or by name.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
             Any other state without actions that is not a goal is then an error.
 
     Raises:
         MissingDependencyError: the format needs stormpy, which is not installed.
-        ModelError: an unknown ending, or no model.
+        ModelError: an unknown ending, or a file without a model.
         OSError: the file cannot be read.
     """
     file, goals = Path(path), [goal] if isinstance(goal, str) else goal
@@ -71,7 +71,7 @@ def read_any(
         return read_json(file, goals, cost, dead_ends)
     if ending == _ARCHIVE:
         if goals:
-            told = f"{file.name} says itself which states are goals: leave "
+            told = f"{file.name} has the goal states already: leave "
             raise ModelError(told, Argument("goal"), " out")
         model = load_model(file)
         model = model if cost in (None, FIRST_COST) else model.with_cost(cost)
@@ -87,9 +87,9 @@ def read_any(
 def _csv_model(
     file: Path, goals: Sequence[str], cost: str | None, dead_ends: DeadEnds | None
 ) -> SSP:
-    """Model of any CSV file with the columns of an outcome, whose other columns are its costs."""
+    """Return the model of a CSV file with columns of outcomes, whose other columns are costs."""
     if not goals:
-        told = f"{file.name} does not say which states are goals: name them by "
+        told = f"{file.name} does not list the goal states: name them by "
         raise ModelError(told, Argument("goal"))
     columns = csv_columns(file)
     for name in _OUTCOME:
@@ -104,13 +104,13 @@ def _csv_model(
 
 @explained
 def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
-    """Write a model to a file of any format, which the name's ending says.
+    """Write a model to a file in the format of its name's ending.
 
     Args:
         model: the model.
         path: the file.
-        start: where episodes begin. An .npz file does not say so, .json need not, and the others
-            know one state only.
+        start: where episodes begin. An .npz file does not contain it, .json may, and the others
+            need exactly one state.
 
     Raises:
         ModelError: an unknown ending, no start, or names that cannot be written.
@@ -131,8 +131,8 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
 
 
 def _ending_of(file: Path, endings: Sequence[str]) -> str:
-    """Ending of a file's name, which says which of any formats it has."""
+    """Return the ending of a file's name, of the known ones."""
     for ending in endings:
         if file.name.endswith(ending):
             return ending
-    raise ModelError(f"{file.name!r} ends in none of {', '.join(endings)}")
+    raise ModelError(f"{file.name!r} must end in one of {', '.join(endings)}")

@@ -52,23 +52,23 @@ Array = npt.NDArray[Any]
 AnyPolicy = Policy | MixedPolicy
 
 _VERSION = 1
-"""Of what each kind of file looks like."""
+"""Version of each kind of file."""
 
 
 _HEADER, _PACKED = "header", b"PK"  # the first bytes of an archive
-_PASSED = 1 << 22  # bytes of an array that are passed over at a time
+_PASSED = 1 << 22  # bytes of an array that are skipped at a time
 _LARGEST_HEADER = 1 << 28  # bytes that are unpacked: names of some ten million states
 
 
 def write_archive(
     path: FilePath, kind: str, header: Mapping[str, Any], arrays: Mapping[str, Array]
 ) -> None:
-    """Write a compressed archive; the same content gives the same bytes.
+    """Write a compressed archive; equal content gives equal bytes.
 
     Args:
-        path: where to; no ending is added to it.
-        kind: what the file is, "policy".
-        header: values that JSON knows.
+        path: name of the file, without a further ending.
+        kind: kind of the file, such as "policy".
+        header: values that JSON supports.
         arrays: by name.
     """
     whole = {"format": f"ssp-lp {kind}", "version": _VERSION, **header}
@@ -79,14 +79,14 @@ def write_archive(
 
 
 class _Arrays(dict[str, Array]):
-    """Arrays of an archive, each unpacked when it is first asked for; others never are."""
+    """Arrays of an archive, each unpacked on first use."""
 
     def __init__(self, archive: Any) -> None:
-        """Take an archive that numpy has opened."""
+        """Wrap an archive that numpy has opened."""
         self._archive = archive
 
     def __missing__(self, name: str) -> Array:
-        """An array in the machine's own byte order.
+        """Return an array in the machine's own byte order.
 
         Raises:
             ModelError: the array is damaged or missing.
@@ -103,15 +103,15 @@ class _Arrays(dict[str, Array]):
         return self[name]
 
 
-_OTHER_ARRAY = "the array {} has another type or size than it should"
+_OTHER_ARRAY = "the array {} has another type or size than expected"
 
 
 def _header_of(archive: Any, path: FilePath, kind: str) -> Any:
-    """Header of an archive that numpy has opened.
+    """Return the header of an archive that numpy has opened.
 
     Raises:
         ModelError: it is too large, of another kind of file, or of a later version than this
-            library knows.
+            library reads.
     """
     header: Any = None
     if _HEADER in archive.files:
@@ -125,7 +125,7 @@ def _header_of(archive: Any, path: FilePath, kind: str) -> Any:
     version = header.get("version")
     if type(version) is not int or not 1 <= version <= _VERSION:
         newer = type(version) is int and version > _VERSION
-        remedy = "install a newer ssp-lp" if newer else f"write the {kind} anew with this one"
+        remedy = "install a newer ssp-lp" if newer else f"write the {kind} again with this one"
         told = f"it has version {version!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
         raise ModelError(told)
     return header
@@ -133,18 +133,18 @@ def _header_of(archive: Any, path: FilePath, kind: str) -> Any:
 
 @contextmanager
 def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
-    """Header and arrays of an archive, which is open meanwhile; nothing in it is executed.
+    """Open an archive as a context with its header and arrays; nothing in it is executed.
 
     Raises:
-        ModelError: naming the file: it is none, of a later version than this library knows, or
-            what is read of it is wrong.
+        ModelError: naming the file: no such archive, of a later version than this library reads,
+            or with wrong content.
         OSError: the file cannot be opened.
     """
     with ExitStack() as opened:
         stream = opened.enter_context(Path(path).open("rb"))
         try:
             if stream.read(2) != _PACKED:
-                raise ModelError(f"save_{kind} of ssp_lp.io writes one")
+                raise ModelError(f"write one by save_{kind} of ssp_lp.io")
             stream.seek(0)
             archive = opened.enter_context(np.load(stream, allow_pickle=False))
             header = _header_of(archive, path, kind)
@@ -165,27 +165,27 @@ _ARRAYS = {
     "probabilities": "f8",
     "costs": "f8",
 }
-"""The arrays of a model's file, each one-dimensional."""
+"""Arrays of a model's file, each one-dimensional."""
 
 _FRACTION = re.compile(r"\d{1,4000}(/\d{1,4000})?", re.ASCII)
 
 
 @explained
 def save_model(model: SSP, path: FilePath) -> None:
-    """Write a model with all that it says to an archive for :func:`load_model`.
+    """Write a complete model to an archive for :func:`load_model`.
 
     Args:
-        model: the model; its states and actions are called by strings, numbers, truth values, and
-            tuples of those.
-        path: the file, written as it is named (``.npz`` is usual).
+        model: the model; labels of its states and actions are strings, numbers, bools, or tuples of
+            these.
+        path: name of the file (``.npz`` is usual).
 
     Raises:
-        ModelError: a state or an action is called by something else.
+        ModelError: the label of a state or an action is of another type.
     """
     check_model(model, "save_model")
 
     def stated(names: Sequence[Hashable]) -> list[Any] | None:
-        """Names as JSON has them; None where they are their positions."""
+        """Return names as JSON values; None if they equal their positions."""
         if isinstance(names, range):
             return None
         return [name if isinstance(name, float) else label_value(name) for name in names]
@@ -211,13 +211,13 @@ def save_model(model: SSP, path: FilePath) -> None:
 
 
 class ModelFile:
-    """A model in a file of :func:`save_model`, of which rows are read range by range."""
+    """A file of :func:`save_model`, of which ranges of states can be read."""
 
     def __init__(self, path: FilePath) -> None:
-        """Read what the file says besides rows.
+        """Read the content of the file except for rows of states.
 
         Raises:
-            ModelError: naming the file: it is none of this format, or damaged.
+            ModelError: naming the file: not of this format, or damaged.
             OSError: the file cannot be opened.
         """
         self._path = path
@@ -232,7 +232,7 @@ class ModelFile:
         self.n_states = self._read("pair_offsets", 0, 0)[1] - 1
 
     def rows(self, first: int, end: int) -> StateRows:
-        """Rows of some states; what stands before them in the file is passed over."""
+        """Return the rows of some states, skipping those before them in the file."""
         pairs = self._read("pair_offsets", first, end + 1)[0]
         outcomes = self._read("outcome_offsets", int(pairs[0]), int(pairs[-1]) + 1)[0]
         own = int(outcomes[0]), int(outcomes[-1])
@@ -247,7 +247,7 @@ class ModelFile:
         )
 
     def _read(self, name: str, begin: int, end: int) -> tuple[Array, int]:
-        """Some entries of an array in the file, piece by piece, and its length.
+        """Return a range of an array in the file, read in pieces, and the array's length.
 
         Raises:
             ModelError: naming the file: it is damaged.
@@ -273,7 +273,7 @@ class ModelFile:
 
 @explained
 def load_model(path: FilePath) -> SSP:
-    """Read a model from the archive that :func:`save_model` wrote; nothing in it is run.
+    """Read a model from an archive of :func:`save_model`; nothing in it is executed.
 
     Args:
         path: the file.
@@ -282,8 +282,8 @@ def load_model(path: FilePath) -> SSP:
         The same model.
 
     Raises:
-        ModelError: naming the file: it is none of this format, of a newer version, or what it says
-            makes no model.
+        ModelError: naming the file: not of this format, of a newer version, or without a valid
+            model.
         OSError: the file cannot be opened.
     """
     with opened_archive(path, "model") as (header, arrays):
@@ -304,7 +304,7 @@ def load_model(path: FilePath) -> SSP:
         check_offsets("label_offsets", labels, len(members))
         marked = [members[begin:end] for begin, end in pairwise(labels.tolist())]
         for _, text in header["exact_costs"]:
-            if not _FRACTION.fullmatch(text):  # digits are counted before they are read
+            if not _FRACTION.fullmatch(text):  # checks the number of digits first
                 raise ModelError(f"the exact cost {text[:60]!r} is no fraction")
         names = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "goal_states")
         plain: dict[str, Any] = {name: arrays[name] for name in names}
@@ -324,7 +324,7 @@ def load_model(path: FilePath) -> SSP:
 
 
 def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:
-    """Names at some positions in an archive."""
+    """Return the names at some positions in an archive."""
     if ((numbers < 0) | (numbers >= len(names))).any():
         raise ModelError(f"there are {what} without a name")
     return [names[k] for k in numbers.tolist()]
@@ -334,15 +334,15 @@ def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> l
 def save_policy(policy: AnyPolicy, path: FilePath) -> None:
     """Write a policy to an archive: compressed arrays with a header in JSON, no pickle.
 
-    The file holds the model's :func:`fingerprint`, not the model: :func:`load_policy` is given it.
+    The file has the model's :func:`fingerprint`, not the model: pass it to :func:`load_policy`.
 
     Args:
         policy: deterministic, stochastic, cost-aware, by cost levels, timed, a lottery, or one that
             carries the memory of a product.
-        path: of the file, ``policy.npz``; no ending is added to it.
+        path: name of the file, ``policy.npz``, without a further ending.
 
     Raises:
-        ModelError: the policy is of another class, or the model has labels that cannot be stated.
+        ModelError: the policy is of another class, or the model has unsupported labels.
     """
     records = _PolicyRecords()
     write_archive(path, "policy", records.header(policy), records.arrays)
@@ -350,26 +350,26 @@ def save_policy(policy: AnyPolicy, path: FilePath) -> None:
 
 @explained
 def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
-    """Read a policy's archive beside the model that it was made for, or one built anew.
+    """Read a policy from its archive, on the model that it was made for or an equal one.
 
-    It plays the same episodes as the one that was saved, given the same generator.
+    It plays the same episodes as the saved policy, given the same generator.
 
     Args:
         path: a file of :func:`save_policy`.
-        model: the model; for a policy that carries the memory of a product, the product. One that
-            counts the steps of a horizon has its product built anew.
-        check: False: the model may differ (other probabilities, costs or names), so long as every
+        model: the model; for a policy that carries the memory of a product, the product. For a
+            policy that counts the steps of a horizon, the product is rebuilt.
+        check: False: the model may differ (other probabilities, costs or names), as long as every
             state has as many actions as before.
 
     Raises:
-        ModelError: the file is none of a policy, or the model is another one.
+        ModelError: the file has no policy, or the model is another one.
     """
     check_model(model, "load_policy")
     with opened_archive(path, "policy") as (header, arrays):
         horizon = header.get("horizon")
         if horizon is not None and not isinstance(model, HorizonSSP):
             begin = arrays[horizon["begin"]]
-            if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
+            if begin.max(initial=0) < model.n_states:  # otherwise the model is another one
                 lost = None if horizon["survive"] is None else tuple(horizon["survive"])
                 model = unroll_steps(model, horizon["steps"], begin.tolist(), lost)
         label = header.get("label")
@@ -384,7 +384,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
 def _policy_in(
     header: Mapping[str, Any], arrays: Mapping[str, Array], model: SSP, *, check: bool
 ) -> AnyPolicy:
-    """The policy that an archive's header states; see :func:`load_policy`.
+    """Return the policy in an archive's header; see :func:`load_policy`.
 
     Raises:
         ModelError: the model is another one.
@@ -394,9 +394,9 @@ def _policy_in(
     if horizon := header.get("horizon"):
         remedy = f"; its policy counts {horizon['steps']:,} steps: give it that horizon"
     elif any(record["kind"] == "remembering" for record in records):
-        remedy = "; its policy carries a memory: load it beside product(model, memory)"
+        remedy = "; its policy carries a memory: load it with product(model, memory)"
     if pair_print(model) != header["pairs"]:
-        raise ModelError(f"{kept}, which has other pairs than {model!r}{remedy}")
+        raise ModelError(f"{kept}, whose pairs differ from those of {model!r}{remedy}")
     if check and fingerprint(model) != header["model"]:
         raise ModelError(
             f"{kept} with fingerprint {header['model'][:12]}..., this model has "
@@ -407,7 +407,7 @@ def _policy_in(
     made: list[AnyPolicy] = []
 
     def meant(value: Any) -> Any:
-        """A field: a name of an array, the number of a policy or of several, or what it says."""
+        """Return a field: an array by name, policies by number, or the value itself."""
         if isinstance(value, str):
             return arrays[value]
         if isinstance(value, list):
@@ -433,29 +433,29 @@ _CLASSES: dict[str, type[Any]] = {
     "joint memory": JointMemory,
     "complete": CompletePolicy,
 }
-"""The classes of policies that a file can hold: all of ``ssp_lp/policies``."""
+"""Classes of policies that a file can store: all of ``ssp_lp/policies``."""
 
 
 class _PolicyRecords:
-    """The records of a policy and of all that it is made of; parts stand before the whole."""
+    """The records of a policy and of all its parts, each after its own parts."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Begin without records."""
         self.arrays: dict[str, Array] = {}
         self._records: list[dict[str, Any]] = []
-        self._models: dict[int, SSP] = {}  # id -> those that the parts live on
+        self._models: dict[int, SSP] = {}  # id -> model of a part
         self._known: dict[int, int] = {}  # id of a policy -> its record
         self._named: dict[Any, str] = {}  # content of an array -> its name
 
     def header(self, policy: AnyPolicy) -> dict[str, Any]:
-        """Header of an archive for a policy and the model that it lives on.
+        """Return the header of an archive for a policy and its model.
 
         Raises:
-            ModelError: the policy cannot be saved, or lives on several models.
+            ModelError: the policy cannot be saved, or its parts are on several models.
         """
         self._add(policy)
         if len(self._models) != 1:
-            raise ModelError("the parts of the policy live on several models: save each by itself")
+            raise ModelError("the parts of the policy are on several models: save each by itself")
         (model,), horizon, label = self._models.values(), None, None
         stated = model
         if (labelled := model.failure_label) is not None:
@@ -476,25 +476,25 @@ class _PolicyRecords:
         return prints | header | {"horizon": horizon, "label": label}
 
     def add_array(self, array: Array) -> str:
-        """Name of an array in the archive; equal ones are kept once."""
+        """Return the name of an array in the archive; equal arrays are stored once."""
         key = array.dtype.str, array.shape, array.tobytes()
         name = self._named.setdefault(key, f"array{len(self._named)}")
         self.arrays[name] = array
         return name
 
     def _add(self, policy: AnyPolicy) -> int:
-        """Number of a policy's record in the archive; a policy that occurs twice has one.
+        """Return the number of a policy's record in the archive, which is stored once.
 
         Raises:
-            ModelError: it, or a part of it, is of a class that no file can hold.
+            ModelError: the policy or a part of it is of an unsupported class.
         """
         if id(policy) in self._known:
             return self._known[id(policy)]
         name = next((name for name, kind in _CLASSES.items() if kind is type(policy)), None)
         if name is None:
-            own = "; it has one that can be: .policy" if hasattr(policy, "policy") else ""
+            own = ": save its .policy instead" if hasattr(policy, "policy") else ""
             kind = type(policy).__name__
-            raise ModelError(f"a {kind} cannot be saved: its class is not known{own}")
+            raise ModelError(f"a {kind} cannot be saved, its class is unknown{own}")
         record: dict[str, Any] = {"kind": name}
         for part in fields(_CLASSES[name]):
             value = getattr(policy, part.name)
@@ -506,7 +506,7 @@ class _PolicyRecords:
         return self._known.setdefault(id(policy), len(self._records) - 1)
 
     def _stated(self, value: Any) -> Any:
-        """A policy's field as JSON for an archive."""
+        """Return a policy's field as JSON for an archive."""
         if isinstance(value, np.ndarray):
             return self.add_array(value)
         if isinstance(value, (Policy, MixedPolicy)):
@@ -519,18 +519,18 @@ class _PolicyRecords:
 _NUMBERS = ("objective", "lower_bound", "failure_price", "budget_used", "note", "upper_bound")
 
 _ROUNDING = 1e-9
-"""Relative; a budget that is a share of the greatest goal probability is worked out afresh."""
+"""Relative difference of budgets that follow from a share of the greatest goal probability."""
 
 
 @explained
 def save_solution(solution: Solution, path: FilePath) -> None:
     """Write a solution to an archive: its policy, numbers, prices, value function and run.
 
-    The model and the problem are not in it: :func:`load_solution` is given the problem.
+    The model and the problem are not in it: pass the problem to :func:`load_solution`.
 
     Args:
-        solution: of ``solve``, or put together by hand.
-        path: of the file, ``solution.npz``; no ending is added to it.
+        solution: solution of ``solve``, or made by hand.
+        path: name of the file, ``solution.npz``, without a further ending.
 
     Raises:
         ModelError: its policy is of a class that cannot be saved.
@@ -549,15 +549,15 @@ def save_solution(solution: Solution, path: FilePath) -> None:
 
 @explained
 def load_solution(path: FilePath, problem: Problem) -> Solution:
-    """Read a solution's archive beside its problem, stated again; ``certify`` says the same.
+    """Read a solution from its archive, for its restated problem; ``certify`` agrees.
 
     Args:
         path: a file of :func:`save_solution`.
         problem: the problem, on the same model.
 
     Raises:
-        ModelError: the file is none of a solution, the model is another one, or the problem has
-            another criterion, start, budget, discount, penalty, or other limits.
+        ModelError: the file has no solution, the model is another one, or the problem has another
+            criterion, start, budget, discount, penalty, or other limits.
     """
     model = problem.unrolled.model
     with opened_archive(path, "solution") as (header, arrays):
@@ -578,7 +578,7 @@ def load_solution(path: FilePath, problem: Problem) -> Solution:
 
 
 def _solution_words(problem: Problem) -> dict[str, Any]:
-    """Words of a solution's archive that tell its problem from others on the same model."""
+    """Return the arguments in a solution's archive that identify its problem on the model."""
     semantics, measure = problem.semantics, problem.semantics.measure
     return {
         "criterion": type(problem).__name__,
@@ -603,34 +603,33 @@ def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[
             same = isclose(saved, stated, rel_tol=_ROUNDING, abs_tol=_ROUNDING)
         if not same:
             raise ModelError(
-                f"the file answers a problem with {name} = {saved!r}, this one has {stated!r}"
+                f"the file is of a problem with {name} = {saved!r}, this one has {stated!r}"
             )
     if not np.array_equal(start_distribution(problem.model, problem.start), start):
-        raise ModelError("the file answers a problem with another start")
+        raise ModelError("the file is of a problem with another start")
 
 
 _FINGERPRINT_VERSION = "ssp-lp model 1"
 
 _PIECE = 1 << 20
-"""Entries of an array that are converted at a time, so that large models need little room."""
+"""Entries of an array converted at a time, so that large models need little memory."""
 
 
 @explained
 @kept
 def fingerprint(model: SSP) -> str:
-    """The SHA-256 of a model's content, in hexadecimal; worked out once and kept with the model.
+    """Return the SHA-256 of a model's content, in hexadecimal, cached with the model.
 
-    What counts: which pairs and outcomes there are and in which order, successors, probabilities,
-    costs and the fractions that they were given as, goals, the labels of states, actions and sets
-    of states; of a product its original model too. What does not: the types in which arrays are
-    kept, the machine's byte order, the sign of zero, and whether states are numbered by default or
-    are given the same numbers as labels.
+    It depends on the pairs and outcomes in their order, successors, probabilities, costs and the
+    fractions that they were given as, goals, the labels of states, actions and sets of states; for
+    a product also on its original model. It does not depend on the types of arrays, the machine's
+    byte order, the sign of zero, or whether numbers of states are given as labels or by default.
 
-    Each part goes into the hash as ``name length``, a line feed and its content: arrays as 8-byte
+    Each part is hashed as ``name length``, a line feed and its content: arrays as 8-byte
     little-endian whole numbers or IEEE doubles, the rest as JSON with sorted keys.
 
     Raises:
-        ModelError: a label cannot be stated the same way in every process.
+        ModelError: a label has no representation that is the same in every process.
 
     Example:
         >>> from ssp_lp import SSP
@@ -667,7 +666,7 @@ def fingerprint(model: SSP) -> str:
 
 @kept
 def pair_print(model: SSP) -> str:
-    """Fingerprint of a model's pairs by state: the SHA-256 of what a policy needs of it."""
+    """Return the SHA-256 of a model's pairs by state, which a policy depends on."""
     digest = sha256(b"ssp-lp pairs 1")
     _fingerprint_array(digest.update, "pair_offsets", model.pair_offsets, "<i8")
     return digest.hexdigest()
@@ -676,7 +675,7 @@ def pair_print(model: SSP) -> str:
 def _fingerprint_array(
     update: Callable[[bytes], None], name: str, array: FloatArray | IntArray | BoolArray, kind: str
 ) -> None:
-    """Take an array into the fingerprint."""
+    """Add an array to the fingerprint."""
     update(f"\n{name} {len(array)}\n".encode())
     for first in range(0, len(array), _PIECE):
         # adding zero turns -0.0 into 0.0
@@ -684,10 +683,10 @@ def _fingerprint_array(
 
 
 def label_value(label: Hashable) -> Any:
-    """A label as a JSON value in an archive: texts, numbers, True, False, None; tuples as lists.
+    """Return a label as a JSON value: str, int, float, bool, None; tuples as lists.
 
     Raises:
-        ModelError: it is, or holds, anything else, or a number that is not finite.
+        ModelError: it is or contains any other value, or a number that is not finite.
     """
     plain = label.item() if isinstance(label, np.generic) else label
     match plain:
@@ -702,17 +701,17 @@ def label_value(label: Hashable) -> Any:
         case tuple():
             return [label_value(part) for part in plain]
     raise ModelError(
-        f"the label {label!r} cannot be written: str, int, float, bool, None and tuples of them can"
+        f"the label {label!r} cannot be written: use str, int, float, bool, None or tuples of them"
     )
 
 
 def stated_value(label: Hashable) -> Any:
-    """A value as JSON in an archive, the same way in every process; labels as :func:`label_value`.
+    """Return a value as JSON, equal in every process; labels as in :func:`label_value`.
 
     Sets, fractions, members of enumerations and dataclasses become objects that name them.
 
     Raises:
-        ModelError: it is, or holds, anything else.
+        ModelError: it is or contains any other value.
     """
     match label:
         case Enum():
@@ -730,7 +729,7 @@ def stated_value(label: Hashable) -> Any:
 
 
 def are_numbers_in_turn(labels: Sequence[Hashable]) -> bool:
-    """Whether an archive needs no labels: they are the whole numbers 0, 1, ..."""
+    """Return whether labels are the whole numbers 0, 1, ..., so that an archive can omit them."""
     if isinstance(labels, range):
         return labels == range(len(labels))
     return all(label == k for k, label in enumerate(labels))

@@ -1,8 +1,8 @@
-"""A policy as one header of C99: tables, and a function that looks actions up, without allocation.
+"""A policy as one C99 header: tables, and a function that looks up actions, without allocation.
 
-States and actions are numbers, in the order of the model. What an episode has to remember beside
-the total that was paid is in a small struct: which member of a lottery plays it, which of its tails
-it follows beyond the cap, whether it has given up, and the level to which a total was rounded.
+States and actions are numbers, in the order of the model. A small struct has the memory of an
+episode, apart from the total paid: the member of a lottery that plays it, the tail followed beyond
+the cap, whether it has given up, and the level to which a total was rounded.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import as_lottery
 
 _NEVER = 1e308
-"""A total that no episode comes to, in place of an infinite one."""
+"""Finite number in place of an infinite total, which no episode reaches."""
 
 _DRAWN = -3
-"""This code and those below it are numbers of decisions that are drawn."""
+"""First of the codes for random decisions, which go downwards."""
 
 _OTHERS = {"threshold": "double", "levels": "double", "share": "double", "offsets": "int",
            "ends": "unsigned char"}  # fmt: skip
-"""Types of the tables that hold no codes."""
+"""Types of the tables without codes."""
 
 _KINDS = {"signed char": 127, "short": 32_767, "int": 2**31 - 1}
 
@@ -43,7 +43,7 @@ typedef struct { int member, tail, over, level; double paid; } NAME_episode;
    episode: its memory, NAME_BEGIN where it begins.
    state: its number, 0 .. NAME_states - 1.
    total: paid so far, in multiples of NAME_unit.
-   uniform: drawn afresh from [0, 1) at each call; the first one draws the lottery, too. */
+   uniform: drawn from [0, 1) at each call; the first one draws the lottery, too. */
 static inline int NAME_action(NAME_episode *episode, int state, double total, double uniform)
 {
     const NAME_member *member;
@@ -119,21 +119,21 @@ _MEMBER = """typedef struct {
 
 @explained
 def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = "policy") -> None:
-    """Write a policy as a header of C99, with tables and one function, for a machine to act by.
+    """Write a policy as a C99 header, with tables and one function, for a machine that acts by it.
 
-    The function ``policy_action(&episode, state, total, uniform)`` is told the number of the state
-    in the model, the total paid so far and a uniform random number, and answers with the number of
-    an action; the header says the rest. It allocates nothing and calls nothing.
+    The function ``policy_action(&episode, state, total, uniform)`` takes the number of the state in
+    the model, the total paid so far and a uniform random number, and returns the number of an
+    action; comments in the header explain the rest. It allocates nothing and calls nothing.
 
     Args:
         policy: stationary, cost-aware, acting everywhere (``Solution.policy_everywhere``), or a
             lottery over these.
-        path: of the file, ``policy.h``.
-        name: what the names in it begin with.
+        path: name of the file, ``policy.h``.
+        name: prefix of all names in the header.
 
     Raises:
         ModelError: the policy is of another class, its members count costs in different units, or
-            the name is none in C.
+            the name is not a name in C.
     """
     lottery = as_lottery(policy)
     model, members = lottery.model, lottery.policies
@@ -190,20 +190,20 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
 
 
 def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
-    """The fields of a member's struct but the first, by name; lists are tables of their own.
+    """Return the fields of a member's struct except the first, by name; lists are tables.
 
     Args:
-        stated: the member as a controller's file states it.
+        stated: the member as in a controller's file.
         policy: the member.
 
     Raises:
-        ModelError: it has a memory that the struct does not.
+        ModelError: the struct has no place for its memory.
     """
     memory, decision = stated["memory"], stated["decision"]
     cap = 0 if memory is None else memory.get("cap", -1)
     tails, drawn = decision[cap:], any(type(one) is list for row in decision for one in row)
     if cap < 0 or (drawn and memory):
-        raise ModelError(f"a header of C cannot hold a {type(policy).__name__}")
+        raise ModelError(f"a C header cannot contain a {type(policy).__name__}")
     fields: dict[str, Any] = dict.fromkeys(
         ("layers", "tails", "decision", "tail", "threshold", "levels", "offsets", "action", "share",
          "ends", "otherwise", "afterwards"), 0)  # fmt: skip
@@ -229,12 +229,12 @@ def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
 
 
 def _c_comment(label: object) -> str:
-    """A label as part of a comment of C."""
+    """Return a label as part of a C comment."""
     return repr(label).replace("*/", "* /").encode("ascii", "backslashreplace").decode()
 
 
 def _c_string(text: str) -> str:
-    """A text as a literal of C, the bytes of its UTF-8 that are not plain in octal."""
+    """Return a text as a C literal, with octal escapes for bytes of UTF-8 that are not plain."""
     plain = (chr(b) if chr(b).isalnum() or chr(b) in " _-+,.:()" else "" for b in range(128))
     known = dict(enumerate(plain))
     return '"' + "".join(known.get(b) or f"\\{b:03o}" for b in text.encode()) + '"'
@@ -244,7 +244,7 @@ _A_LINE = 24  # numbers
 
 
 def _c_table(name: str, kind: str, values: IntArray | FloatArray) -> str:
-    """A table as C has it."""
+    """Return a table as C code."""
     words = [repr(value) for value in values.ravel().tolist()]
     lines = (words[k : k + _A_LINE] for k in range(0, len(words), _A_LINE))
     body = ",\n    ".join(", ".join(line) for line in lines)

@@ -1,12 +1,12 @@
 """A controller: runs a policy from a JSON file, with nothing but the standard library.
 
-This one file may be copied onto a robot; it needs no other part of ssp-lp. ``write_controller``
-writes the files that it reads:
+This file may be copied onto a robot by itself; it needs no other part of ssp-lp. It reads files of
+``write_controller``, with the entries
 
 - ``format``: "ssp-lp controller"; ``version``: 1; ``model``: the model's fingerprint;
-- ``checksum``: the SHA-256 of all else, as JSON with sorted keys and no blanks;
+- ``checksum``: the SHA-256 of all other entries, as JSON with sorted keys and no blanks;
 - ``goals``, ``dead_ends``: the numbers of these states;
-- ``states``: the labels of the states, or their number where they are 0, 1, ...; tuples as lists;
+- ``states``: the labels of the states, or their number if they are 0, 1, ...; tuples as lists;
 - ``actions``: the labels of the actions;
 - ``members``: the policies of a lottery that is drawn once in each episode, each with
 
@@ -14,27 +14,27 @@ writes the files that it reads:
   - ``ends``: the numbers of the states in which it is over;
   - ``memory``: null, or an object whose ``kind`` is
 
-    - "layers": the cost paid in whole numbers of ``unit``, other costs rounded up to them where it
-      ``rounds_up``; from ``cap`` on one of ``tails`` tails: the last one where the layer has
-      reached the state's ``threshold`` (null: never), else the first. With ``levels``, totals, the
-      layer is the one nearest to the last level plus the cost of the step, the last of them the
-      cap, and a threshold is a total; ``acting``: for each state 1 where the memory moves, else 0;
-    - "steps": how many were taken, of ``steps``, and one more where they are used up in a state
+    - "layers": the cost paid in whole numbers of ``unit``, rounded up if ``rounds_up``; from
+      ``cap`` on one of ``tails`` tails: the last one if the layer has reached the state's
+      ``threshold`` (null: never), else the first. With ``levels``, which are totals, the layer is
+      the one nearest to the last level plus the cost of the step, the last of them the cap, and a
+      threshold is a total; ``acting``: for each state 1 if the memory is updated, else 0;
+    - "steps": the number of steps taken, of ``steps``, and one more after the last step in a state
       that is ``acting``, 1 or 0 for each;
     - "task": a number, at first ``start``; ``moves``: [number, state, action, successor, cost, next
-      number] of each step that changes it, the cost null where any will do;
+      number] of each step that changes it, the cost null if it does not matter;
 
-    - "failing": whether the run has failed, 1 or 0: by a position in ``decision`` beyond the last
-      action, which stands for the same actions in turn, taken with giving up, and from the states
-      that are ``lost``; to the memory that is kept besides the step that fails costs the state's
-      ``charge``, each one after it nothing;
+    - "failing": whether the run has failed, 1 or 0. It fails by a position in ``decision`` beyond
+      the last action, which stands for the same actions in turn, taken with giving up, and from the
+      states in ``lost``. For the inner memory the step that fails costs the state's ``charge``, and
+      each later step costs nothing;
 
-    the last three with ``place``: [number][state], the situation that both make, -1 for none, and
-    ``inner``: null or the memory that is kept besides, for which situations are the states;
+    the last three with ``place``: [number][state], the situation of both, -1 for none, and
+    ``inner``: null or the inner memory, for which situations are the states;
   - ``decision``: [memory][state], of the innermost memory and its states, the position of an
     action, -1 to give up, -2 for none, or a list of [position, probability];
   - ``otherwise``, ``afterwards``, of one that acts everywhere: [state], the position of an action
-    where there is no decision, and where the member has given up or is over, -2 for none.
+    if there is no decision, and after the member has given up or is over, -2 for none.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ from os import PathLike
 from typing import Any, cast
 
 GIVE_UP = "give up"
-"""Answered instead of an action where the policy gives up."""
+"""Answer in place of an action if the policy gives up."""
 
 _GIVE_UP_CODE = -1
 _VERSION = 1
-_SAME_TOTAL = 5e-13  # relative distance of costs that are one, summed in two ways
-_FAR = 1e15  # units: no step passes more
+_SAME_TOTAL = 5e-13  # relative distance of equal costs, summed in two ways
+_FAR = 1e15  # units: greatest step
 _OFF_LATTICE = 1e-6  # of a unit: far above the rounding of a sum of costs, far below a step
 
 
@@ -71,7 +71,7 @@ class Controller:
         path: a file of ``write_controller``.
 
     Raises:
-        ValueError: the file is none, of another version, or was changed since it was written.
+        ValueError: not a controller's file, of another version, or changed since it was written.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
@@ -102,12 +102,12 @@ class Controller:
         """Begin an episode of the controller.
 
         Args:
-            seed: of the lottery and of random actions; None: go on with the generator as it is.
-            world: "model" refuses a state other than the one observed and a second observation of
-                one action, "other" does not; which steps the model has is not known here.
+            seed: of the lottery and of random actions; None: continue with the generator.
+            world: "model" rejects a state other than the observed one and a second observation of
+                one action, "other" accepts both; the controller does not know the model's steps.
 
         Raises:
-            ValueError: another word for the world.
+            ValueError: another value of ``world``.
         """
         if world not in {"model", "other"}:
             raise ValueError(f"world must be 'model' or 'other', not {world!r}")
@@ -118,33 +118,33 @@ class Controller:
         self._is_model = world == "model"
         self._memory: Any = None  # a number, or [number, inner memory]
         self._step = -1, -1  # the state, and the last action in it
-        self._is_observed = True  # what that action led to
+        self._is_observed = True  # whether the last action was observed
         self._is_over = False
-        self._answer: Hashable = None  # the last one, which is all from when it is over on
+        self._answer: Hashable = None  # the last one, repeated once the episode is over
         self._alone = 0  # 1: the member is over, and the controller acts on; 2: it never began
         self._quits = False  # whether the last action is taken with giving up
         self._failed = False
 
     @property
     def failed(self) -> bool:
-        """Whether the goal has been lost or given up, as far as the last action tells."""
+        """Whether the goal has been lost or given up, by the last action."""
         return self._failed
 
     def action(self, state: Hashable) -> Hashable:
-        """The action in this state; "give up" or None from where the episode is over.
+        """Return the action in this state; "give up" or None once the episode is over.
 
-        It is over from giving up on, or from a goal or a dead-end, unless the policy knows what to
-        do then; ``failed`` says from when on the goal is given up.
+        It is over after giving up, or at a goal or a dead-end, unless the policy has decisions
+        then; ``failed`` is True once the goal is given up.
 
         Raises:
-            ValueError: unknown state or another than the one observed, or one in which the policy
-                has no decision.
+            ValueError: unknown state or another than the observed one, or a state in which the
+                policy has no decision.
             RuntimeError: no episode was begun.
         """
         _, here = self._current(), self._state(state)
         begun = self._memory is not None
         if begun and self._is_model and not self._is_over and here != self._step[0]:
-            raise ValueError(f"by what was observed the episode is not in state {state!r}")
+            raise ValueError(f"the episode is not in state {state!r}, but in the observed one")
         if not self._is_over and self._ends_in(here):
             self._is_over, self._answer, self._step = True, None, (here, -1)
         if self._is_over:
@@ -163,7 +163,7 @@ class Controller:
         return self._answer
 
     def _ends_in(self, state: int) -> bool:
-        """Whether an episode is over in a state."""
+        """Return whether an episode is over in a state."""
         member = self._current()
         if "afterwards" in member:
             return state in self._goals or member["afterwards"][state] < 0
@@ -180,7 +180,7 @@ class Controller:
             self._alone = 2
 
     def _choice(self, state: int) -> int:
-        """The position of an action in a state, or a code."""
+        """Return the position of an action in a state, or a code."""
         member, is_over = self._current(), self._alone == 1
         acts = "otherwise" in member
         is_over |= acts and state in member["ends"]
@@ -198,13 +198,13 @@ class Controller:
         return int(member["otherwise"][state] if acts and choice < 0 else choice)
 
     def observe(self, successor: Hashable, cost: float) -> None:
-        """Tell the controller where the step led and what it cost, to move its memory.
+        """Observe the successor and cost of the step, to update the controller's memory.
 
         Raises:
             ValueError: unknown state, an episode that is over, an action that was observed already,
                 a cost that is negative, not finite or no whole number of units, or a step that
                 leads to a memory that the policy does not have.
-            RuntimeError: no action was asked for yet.
+            RuntimeError: no action was requested yet.
         """
         member, there = self._current(), self._state(successor)
         if self._is_over:
@@ -226,39 +226,39 @@ class Controller:
         self._step, self._is_observed, self._quits = (there, self._step[1]), True, False
 
     def _current(self) -> dict[str, Any]:
-        """The member of the lottery that the controller plays."""
+        """Return the member of the lottery that the controller plays."""
         if self._member is None:
             raise RuntimeError("call reset(seed) before the first action of an episode")
         return self._member
 
     def _state(self, label: Hashable) -> int:
-        """Number of a state that the controller observes."""
-        with suppress(KeyError, TypeError):  # a list, say, has no hash
+        """Return the number of a state that the controller observes."""
+        with suppress(KeyError, TypeError):  # such as a list, which has no hash
             if isinstance(label, Integral) or not self._are_numbered:
                 return self._index[label]
         raise ValueError(f"{label!r} is not a state of the model")
 
     def __repr__(self) -> str:
-        """One line: the model's fingerprint, its states and the policy's members."""
+        """Return a line with the model's fingerprint, its states and the policy's members."""
         states, members = len(self._index), len(self._members)
         return f"Controller(model {self.model[:16]}, {states:,} states, members: {members})"
 
 
 def controller_checksum(told: dict[str, Any]) -> str:
-    """SHA-256 of a controller's file but for its checksum, as compact sorted JSON."""
+    """Return the SHA-256 of a controller's file without its checksum, as compact sorted JSON."""
     said = {name: value for name, value in told.items() if name != "checksum"}
     return sha256(json.dumps(said, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def controller_label(value: Any) -> Hashable:
-    """A controller's label from its JSON value: lists are tuples."""
+    """Return a controller's label from its JSON value: lists are tuples."""
     if isinstance(value, list):
         return tuple(controller_label(part) for part in value)
     return cast("Hashable", value)
 
 
 def _controller_start(memory: dict[str, Any] | None, state: int) -> Any:
-    """The controller's memory at the start."""
+    """Return the controller's initial memory."""
     if memory is None:
         return 0
     if "place" in memory:
@@ -269,17 +269,17 @@ def _controller_start(memory: dict[str, Any] | None, state: int) -> Any:
 
 
 def _controller_place(memory: dict[str, Any], number: int, state: int) -> int:
-    """The controller's situation: a state and the number of a memory."""
+    """Return the controller's situation: that of a state and a memory's number."""
     place: int = memory["place"][number][state]
     if place < 0:
-        raise ValueError("a state was reached with a memory that the policy does not know there")
+        raise ValueError("the policy does not have this memory in this state")
     return place
 
 
 def _innermost_of_controller(
     memory: dict[str, Any] | None, value: Any, state: int
 ) -> tuple[int, int]:
-    """The controller's innermost memory, and the state that it is for."""
+    """Return the controller's innermost memory, and the state that it is for."""
     while memory is not None and "place" in memory:
         state, memory, value = _controller_place(memory, value[0], state), memory["inner"], value[1]
     return value, state
@@ -288,7 +288,7 @@ def _innermost_of_controller(
 def _controller_after(
     memory: dict[str, Any] | None, value: Any, step: tuple[int, int, int], cost: float, quits: bool
 ) -> Any:
-    """The controller's memory after a step from a state by an action to a successor."""
+    """Return the controller's memory after a step from a state by an action to a successor."""
     if memory is None:
         return value
     state, action, successor = step
@@ -308,7 +308,7 @@ def _controller_after(
     if not memory["acting"][successor] or number >= memory["cap"]:
         return number
     if memory["levels"] is not None:
-        # the controller's level of cost nearest to what is paid after a step
+        # the controller's level of cost nearest to the total after a step
         levels, cap = memory["levels"], memory["cap"]
         total = levels[number] + cost
         above = min(max(bisect_left(levels, total), 1), cap)
@@ -328,11 +328,11 @@ def _controller_after(
 def _counted_by_controller(
     memory: dict[str, Any], number: int, step: tuple[int, int, int], cost: float
 ) -> int:
-    """The number of a controller's memory after a step."""
+    """Return the number of a controller's memory after a step."""
     if memory["kind"] == "steps":
         late = memory["acting"][step[2]] and number + 1 >= memory["steps"]
         return int(memory["steps"] + 1) if late else number + 1
-    if "table" not in memory:  # by what it depends on, once for all steps
+    if "table" not in memory:  # indexed once for all steps
         memory["table"] = {}
         for *key, paid, then in memory["moves"]:
             memory["table"].setdefault(tuple(key), []).append((paid, then))
@@ -340,15 +340,15 @@ def _counted_by_controller(
     for paid, then in moves:
         if paid is None or isclose(paid, cost, rel_tol=_OFF_LATTICE):
             return int(then)
-    raise ValueError(f"observed cost {cost!r} is none that this step may have")
+    raise ValueError(f"the model has no such step at observed cost {cost!r}")
 
 
 def _controller_layer(memory: dict[str, Any], layer: int, state: int) -> int:
-    """The controller's layer below the cap, then the tail."""
+    """Return the controller's layer below the cap, then the tail."""
     return layer if layer < int(memory["cap"]) else _controller_tail(memory, layer, state)
 
 
 def _controller_tail(memory: dict[str, Any], reached: float, state: int) -> int:
-    """The controller's tail by what is reached: the last one from the state's threshold on."""
+    """Return the controller's tail: the last one from the state's threshold on."""
     threshold, last = memory["threshold"][state], memory["tails"] - 1
     return int(memory["cap"] + (0 if threshold is None or reached < threshold else last))

@@ -35,23 +35,23 @@ _VERSION = 1
 def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
     """Write a policy as a JSON file that :class:`ssp_lp.io.Controller` runs.
 
-    That class stands in one file of its own, ``ssp_lp/io/controller.py``, which imports nothing but
-    the standard library and says what the file holds.
+    That class is in a single file, ``ssp_lp/io/controller.py``, which imports only the standard
+    library and documents the format.
 
     Args:
         policy: deterministic, stochastic, cost-aware, of a problem with a horizon or on a product
             with a memory (``on_original``), one that remembers having failed, one that acts
             everywhere (``Solution.policy_everywhere``), or a lottery over these.
-        path: of the file, ``controller.json``.
+        path: name of the file, ``controller.json``.
 
     Raises:
-        ModelError: the policy is of another class, or a label is no str, int, float, bool, None or
-            tuple of them, or an action is called "give up".
+        ModelError: the policy is of another class, a label is not str, int, float, bool, None or a
+            tuple of these, or an action is called "give up".
     """
     lottery = as_lottery(policy)
     model = lottery.model
     if GIVE_UP_WORD in model.action_names:
-        raise ModelError(f"an action is called {GIVE_UP_WORD!r}, which says that a policy gives up")
+        raise ModelError(f"an action is called {GIVE_UP_WORD!r}, a reserved word: rename it")
     content = {
         "format": "ssp-lp controller",
         "version": _VERSION,
@@ -73,10 +73,10 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
 
 
 def controller_member(policy: Policy) -> dict[str, Any]:
-    """A member of a lottery, as the controller reads it.
+    """Return a member of a lottery, in the controller's format.
 
     Raises:
-        ModelError: the controller does not know its memory.
+        ModelError: the controller does not support its memory.
     """
     codes = {name: k for k, name in enumerate(policy.model.action_names)}
     inner = policy.inner if isinstance(policy, CompletePolicy) else policy
@@ -92,17 +92,17 @@ def controller_member(policy: Policy) -> dict[str, Any]:
 
 
 def _positions(model: SSP, codes: Mapping[Hashable, int], pairs: IntArray) -> IntArray:
-    """The numbers of the actions of some exported pairs; codes stay."""
+    """Return the action numbers of some exported pairs, without changing codes."""
     action = np.array([codes[name] for name in model.action_names] or [0])
     action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
     return np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)])
 
 
 def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | None:
-    """An exported policy's memory as the controller reads it.
+    """Return an exported policy's memory, in the controller's format.
 
     Raises:
-        ModelError: the controller does not know such a memory.
+        ModelError: the controller does not support such a memory.
     """
     match policy:
         case policies.DeterministicPolicy() | StochasticPolicy(carrier=None):
@@ -143,7 +143,7 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
 
 
 def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, Any]:
-    """Transitions of an exported product's memory numbers, for the controller's file."""
+    """Return the transitions of an exported product's memory, for the controller's file."""
     if isinstance(product, HorizonSSP):
         acting = np.diff(product.original.pair_offsets) > 0
         return {"kind": "steps", "steps": product.steps, "acting": acting.astype(int).tolist()}
@@ -158,8 +158,8 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     for step, cost, then in zip(steps.tolist(), product.costs.tolist(), end.tolist(), strict=True):
         if after.setdefault(tuple(step), {}).setdefault(cost, then) != then:
             told = f"a step to state {product.original.states[step[3]]!r} at cost {cost:g}"
-            raise ModelError(f"a controller sees states and costs, by which {told} leaves open "
-                             f"whether the memory is {product.memories[then]!r}")  # fmt: skip
+            raise ModelError(f"a controller sees states and costs, so that after {told} it cannot "
+                             f"know whether the memory is {product.memories[then]!r}")  # fmt: skip
     moves: list[list[Any]] = []
     for step, by_cost in after.items():
         if len(ends := set(by_cost.values())) > 1:
@@ -170,19 +170,19 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     first = product.first_memory(states)
     begun = np.unique(first[product.table[states, first] >= 0]).tolist()
     if len(begun) > 1:
-        raise ModelError("a controller begins with one memory: give it a policy for one start")
+        raise ModelError("a controller begins with one memory: use a policy for one start")
     return {"kind": "task", "start": begun[0], "moves": moves}
 
 
 def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:
-    """The numbers of a model's actions, and of those by which a run gives up, behind them."""
+    """Return the numbers of a model's actions, then of the same actions with giving up."""
     names = product.original.action_names
     giving_up = zip(product.action_names[len(names) :], names, strict=True)
     return {**codes, **{name: len(codes) + codes[own] for name, own in giving_up}}
 
 
 def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:
-    """An exported policy's decisions, [memories][states], of its innermost memory."""
+    """Return an exported policy's decisions, [memories][states], of its innermost memory."""
     over = np.zeros(policy.model.n_states, dtype=np.bool_)
     while isinstance(policy, RememberingPolicy | LabelledPolicy):
         product, policy = policy.product, policy.inner
@@ -197,9 +197,9 @@ def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list
     for memory in range(policy.memory_size or 1):
         branches = policy.branches(np.arange(model.n_states), np.full(model.n_states, memory))
         choice = _positions(model, codes, branches.pair)
-        # it gives up where it has no decision and all is over
+        # giving up where it has no decision and all is over
         choice = np.where(over[branches.situation] & (choice == UNDECIDED), GIVE_UP_CODE, choice)
-        if len(choice) == model.n_states:  # nothing is drawn
+        if len(choice) == model.n_states:  # no random decisions
             decisions.append(choice.tolist())
             continue
         listed: list[list[list[Any]]] = [[] for _ in range(model.n_states)]

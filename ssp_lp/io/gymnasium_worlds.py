@@ -1,4 +1,4 @@
-"""Gymnasium's tabular environments as models, and policies played back in them."""
+"""Gymnasium's tabular environments as models, and policies played in these environments."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ if TYPE_CHECKING:
     import gymnasium
 
 MOST_STEPS = 10_000
-"""Steps after which an episode is cut off where nothing else does, as in ``simulate``."""
+"""Steps after which an episode without other limits is cut off, as in ``simulate``."""
 
 _POINTS = 3  # of each coordinate in a cell, from which steps are taken
 
 END = "end"
-"""Where an environment also goes on from a state that it may end in, the end is ("end", state)."""
+"""First part of ("end", state): the end in a state that only some steps terminate in."""
 
 CostFunction = Callable[[Any, Any, Any, float], float]
 """``(state, action, next_state, reward) -> cost``."""
@@ -80,28 +80,28 @@ _SAY_GOALS = "say which states are goals: ", Argument("goal")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnvironmentSSP(SSP):
-    """The model of an environment, which knows what the environment's steps cost."""
+    """The model of an environment, with the costs of the environment's steps."""
 
     step_cost: CostFunction = field(kw_only=True)
 
     @cached_property
     def ends(self) -> frozenset[Hashable]:
-        """States of the Gymnasium environment for which the model has an end of its own."""
+        """States of the Gymnasium environment for which the model has a separate end."""
         return frozenset(
             label[1] for label in self.states if isinstance(label, tuple) and label[0] == END
         )
 
     def label(self, state: Hashable, terminated: bool) -> Hashable:
-        """State of the model for an observation of the Gymnasium environment after a step."""
+        """Return the model's state for an observation of the Gymnasium environment after a step."""
         return (END, state) if terminated and state in self.ends else state
 
     def ends_among(self, listed: Callable[[Any], bool], label: Any) -> bool:
-        """Whether a predicate on the Gymnasium environment's states holds of a state's end."""
+        """Return whether a predicate on the environment's states holds for the state of an end."""
         is_end = isinstance(label, tuple) and label[0] == END
         return listed(label[1]) if is_end else label not in self.ends and bool(listed(label))
 
     def seen(self, env: Any, observation: Any) -> Any:
-        """State of the Gymnasium environment that an observation shows."""
+        """Return the state of the Gymnasium environment that an observation shows."""
         return _plain(observation)
 
     def check_step(self, pair: int, state: int) -> None:
@@ -109,7 +109,7 @@ class EnvironmentSSP(SSP):
         if state not in self.successors[slice(*self.outcome_offsets[pair : pair + 2].tolist())]:
             raise ModelError(
                 f"{self.describe_pair(pair)} led to {self.states[state]!r}, which the "
-                "environment's table does not list: env.unwrapped.P does not tell all"
+                "environment's table does not list: env.unwrapped.P is incomplete"
             )
 
 
@@ -121,36 +121,36 @@ class GridSSP(EnvironmentSSP):
     is_goal: Callable[[Any], bool] = field(kw_only=True)  # of a point in which it terminates
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled as a plain model: an environment's steps belong to one process."""
+        """Pickle a plain model: an environment's steps belong to one process."""
         return partial(SSP, **_fields_of(self)), ()
 
     def seen(self, env: Any, observation: Any) -> tuple[float, ...]:
-        """Coordinates of the Gymnasium environment, unrounded, whatever it shows of them."""
+        """Return the Gymnasium environment's coordinates, unrounded, instead of its observation."""
         return tuple(map(float, env.unwrapped.state))
 
     def label(self, state: Any, terminated: bool) -> int:
-        """Cell of a point of the Gymnasium environment, or how the episode has ended there."""
+        """Return the cell of a point of the Gymnasium environment, or the state of an end."""
         if terminated:
             return self.world.end_state("goal" if self.is_goal(state) else FAILED)
         is_inside = _is_in_box(self.world.grid, state)
         return self.world.grid.cell_of(state) if is_inside else self.world.end_state(OUTSIDE)
 
     def check_step(self, pair: int, state: int) -> None:
-        """Accept every step: a point of a cell may lead where no point that was tried led."""
+        """Accept every step: the points of a cell that were not tried may lead elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)
 class GymnasiumWorld:
-    """An environment as a model, and where its episodes begin."""
+    """An environment as a model, with the start of its episodes."""
 
     model: SSP  # an EnvironmentSSP, or one of cells; with a horizon a HorizonSSP
     start: Mapping[Hashable, float]  # the model's states, with probabilities
     step_limit: int | None  # steps after which the environment cuts an episode off
-    horizon: int | None  # steps within which the model asks for the goal
-    continuous: ContinuousModel | None = None  # of an array of coordinates: what was discretised
+    horizon: int | None  # steps within which the model requires the goal
+    continuous: ContinuousModel | None = None  # the world that was discretised, of coordinates
 
     def __repr__(self) -> str:
-        """One line: the model, where episodes begin, and the horizon."""
+        """Return a line with the model, where episodes begin, and the horizon."""
         begins = in_short(dict(self.start))
         return f"GymnasiumWorld({self.model!r}, start={begins}, horizon={self.horizon})"
 
@@ -167,42 +167,42 @@ def from_gymnasium(
     survive: bool = False,
     dead_ends: StateSet | None = None,
 ) -> GymnasiumWorld:
-    """Build the model of a tabular environment from its table, of another one on a grid.
+    """Build the model of a tabular environment from its table, or of another one on a grid.
 
-    States in which the environment terminates are goals where every step into them is rewarded,
-    dead-ends where none is. A state in which it terminates on one step and goes on after another
-    (as Taxi's table lists them) has an end of its own, ("end", state).
+    States in which the environment terminates are goals if every step into them is rewarded, and
+    dead-ends if none is. A state in which it terminates after one step and goes on after another
+    (as in Taxi's table) has a separate end, ("end", state).
 
     Args:
         env: an environment with ``env.unwrapped.P[state][action]``, a list of (probability, next
             state, reward, terminated). Wrappers that change observations, actions or rewards are
-            not seen.
+            ignored.
         goal: the goal states, whatever the rewards, or a predicate on states; other states in which
             the environment terminates are dead-ends.
-        cost: "step": 1 for each step; "reward": minus the reward where that is negative, else 0
-            (so positive rewards count nothing); or ``(state, action, next_state, reward) -> cost``.
+        cost: "step": 1 for each step; "reward": minus the reward if it is negative, else 0
+            (positive rewards are ignored); or ``(state, action, next_state, reward) -> cost``.
         horizon: "env": the goal must be reached within the environment's own step limit
-            (``TimeLimit``), where it has one, so that what is certified holds in the environment;
-            a number: within so many steps; None: at any time (`rollout` tells of what was cut off).
+            (``TimeLimit``), if it has one, so that certificates hold in the environment; a number:
+            within this number of steps; None: at any time (`rollout` reports truncated episodes).
         start: a state or ``{state: probability}``; None: the environment's own distribution. With
             a grid it is a point, or ``{point: probability}``.
         grid: for an environment whose state is an array of coordinates (MountainCar, CartPole): a
-            box of them and its cells. ``goal`` says of the points in which it terminates whether
-            that is success (a predicate, or a set of cells of the grid), and the step limit is no
-            horizon unless it is given as a number.
+            box of the coordinates and its cells. ``goal`` is then a predicate on the points in
+            which it terminates, or a set of cells of the grid, and the step limit is no horizon
+            unless it is given as a number.
         survive: whether an episode that still goes on at the horizon has reached the goal.
-        dead_ends: the other states in which it terminates, or a predicate on states; one that is
-            not among them is then an error. With a grid: "failed" and "outside".
+        dead_ends: the other states in which it terminates, or a predicate on states; any further
+            one is then an error. With a grid: "failed" and "outside".
 
     Returns:
-        The model, its start and the step limit. With a horizon the model's states are (state,
-        steps taken): see :func:`~ssp_lp.model.product.within_steps`. With a grid they are its
-        cells, and ``continuous`` is the world that they were made of, for ``WorldSimulator``.
+        The model, its start and the step limit. With a horizon the model's states are (state, steps
+        taken): see :func:`~ssp_lp.model.product.within_steps`. With a grid they are its cells, and
+        ``continuous`` is the discretised world, for ``WorldSimulator``.
 
     Raises:
         MissingDependencyError: gymnasium is not installed.
-        ModelError: no table, no start, a wrong table or option, or goals that cannot be told; to
-            survive without a horizon.
+        ModelError: no table, no start, a wrong table or option, or goals that do not follow from
+            the rewards; ``survive`` without a horizon.
 
     Example:
         >>> import gymnasium
@@ -233,7 +233,7 @@ def from_gymnasium(
     else:
         if goal is None or start is None:
             missing = "goal" if goal is None else "start"
-            raise ModelError("with a grid, say ", Argument(missing), " in coordinates")
+            raise ModelError("with a grid, give ", Argument(missing), " in coordinates")
         if not callable(goal):
             goal = partial(_is_in_cells, grid, {*no_lone_string(goal, "goal")})
         continuous = continuous_from_gymnasium(env, grid, goal=goal, cost=paid)
@@ -246,13 +246,13 @@ def from_gymnasium(
         if survive:
             raise ModelError("surviving needs a number of steps: ", Argument("horizon"))
         return GymnasiumWorld(model, begin, limit, None, continuous)
-    ends = () if continuous is None else tuple(continuous.dead_ends)  # where their actions stay
+    ends = () if continuous is None else tuple(continuous.dead_ends)  # absorbing, with actions
     unrolled = within_steps(model, steps, start=begin, survive=ends if survive else False)
     return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps, continuous)
 
 
 def _checked_set(table: _Table, name: str, listed: Iterable[Hashable]) -> Callable[[Any], bool]:
-    """Predicate of a set of the Gymnasium environment's states; ModelError for an unknown one."""
+    """Return a predicate for a set of the environment's states; ModelError for an unknown one."""
     members = {_plain(state) for state in no_lone_string(listed, name)}
     for state in members.difference(table.states):
         nearest = did_you_mean(state, table.states, "its states:")
@@ -261,12 +261,12 @@ def _checked_set(table: _Table, name: str, listed: Iterable[Hashable]) -> Callab
 
 
 def _is_in_cells(grid: Grid, cells: Container[Hashable], point: tuple[float, ...]) -> bool:
-    """Whether a point of a Gymnasium environment is in the grid and in one of some cells."""
+    """Return whether a point of a Gymnasium environment is in the grid and in one of some cells."""
     return _is_in_box(grid, point) and grid.cell_of(point) in cells
 
 
 def _is_in_box(grid: Grid, point: tuple[float, ...]) -> bool:
-    """Whether a point of a Gymnasium environment lies in the grid's box."""
+    """Return whether a point of a Gymnasium environment lies in the grid's box."""
     return not grid.misses(grid.heights(tuple(map(np.asarray, point)))).any()
 
 
@@ -282,18 +282,18 @@ def continuous_from_gymnasium(
     goal: Callable[[tuple[float, ...]], bool],
     cost: Callable[[tuple[float, ...], Any, tuple[float, ...], float], float] | None = None,
 ) -> ContinuousModel:
-    """The continuous world of an environment whose state is an array of coordinates.
+    """Return the continuous world of an environment whose state is an array of coordinates.
 
-    Its step function puts the environment's ``env.unwrapped.state`` at a point and takes one step
-    there: ``discretise`` makes a model of it, and ``WorldSimulator`` plays policies in the
-    environment's own dynamics. What the environment draws at random while it steps is drawn once
-    at each point. CartPole and MountainCar are such environments.
+    Its step function sets ``env.unwrapped.state`` to a point and takes one step there:
+    ``discretise`` makes a model of it, and ``WorldSimulator`` plays policies in the environment's
+    own dynamics. Random numbers that the environment draws in a step are drawn once at each point.
+    CartPole and MountainCar are such environments.
 
     Args:
-        env: an environment with discrete actions; it is stepped, so it is to be one of its own.
+        env: an environment with discrete actions, which is stepped: do not use it elsewhere.
         grid: a box of the coordinates, an axis for each, and its cells.
-        goal: says of the coordinates in which the environment terminates whether that is success;
-            else that is the dead-end "failed".
+        goal: predicate on the coordinates in which the environment terminates: whether that is
+            success; otherwise it is the dead-end "failed".
         cost: ``(point, action, next point, reward) -> cost``; None: 1 for each step.
 
     Raises:
@@ -315,7 +315,7 @@ def continuous_from_gymnasium(
     kind = np.asarray(state).dtype
 
     def step(point: Coordinates, action: Hashable, noise: Coordinates) -> Any:
-        """One step from each of many points, one after the other: points, costs and ends."""
+        """Take a step from each of many points in turn; return points, costs and ends."""
         places = np.broadcast_arrays(*point)
         after = np.empty((len(places), *places[0].shape))
         paid, ends = np.ones(places[0].shape), np.zeros(places[0].shape, dtype=np.int64)
@@ -342,11 +342,11 @@ def continuous_from_gymnasium(
 
 
 def _step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
-    """Steps after which the Gymnasium environment's ``TimeLimit`` ends an episode; None: never.
+    """Return the number of steps of the environment's ``TimeLimit``, or None.
 
     Raises:
         MissingDependencyError: gymnasium is not installed.
-        ModelError: it is no environment.
+        ModelError: the argument is no environment.
     """
     base, wrappers = (optional_module(name, "gym") for name in ("gymnasium", "gymnasium.wrappers"))
     if not hasattr(env, "unwrapped"):
@@ -361,15 +361,15 @@ def _step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
 
 
 def _name_of(env: Any) -> str:
-    """Name of a Gymnasium environment, or of its class."""
+    """Return the name of a Gymnasium environment, or of its class."""
     return str(env.spec.id if env.spec is not None else type(env.unwrapped).__name__)
 
 
 class _Table(NamedTuple):
-    """An environment's table: its states, then those that only outcomes name."""
+    """An environment's table: its states, then those that occur in outcomes only."""
 
     states: list[Hashable]  # [states]
-    listed: int  # of them in the table
+    listed: int  # number of states in the table
     pair_state: IntArray  # [pairs]
     actions: list[Hashable]  # [pairs]
     pair: IntArray  # [outcomes]
@@ -380,20 +380,20 @@ class _Table(NamedTuple):
 
 
 def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
-    """The Gymnasium environment's table of transitions, checked.
+    """Return the Gymnasium environment's table of transitions, checked.
 
     Raises:
-        ModelError: there is none, or outcomes that are none, or do not sum to one.
+        ModelError: no table, a wrong outcome, or probabilities that do not sum to one.
     """
     listed = getattr(env.unwrapped, "P", None)
     if listed is None:
         raise ModelError(
             f"{_name_of(env)} is not tabular: it has no table of transitions, env.unwrapped.P; "
-            "where its state is coordinates, continuous_from_gymnasium(env, grid, goal=...) makes "
-            "a world of it that discretise cuts into cells; where you know how likely its steps "
-            "are, SSP.from_successors takes a function (docs/models.md)"
+            "if its state is coordinates, continuous_from_gymnasium(env, grid, goal=...) makes "
+            "a world of it for discretise; if you know the probabilities of its steps, "
+            "SSP.from_successors takes a function (docs/models.md)"
         )
-    # no lists of lists: their collector would take longer than all the rest
+    # no lists of lists, which would take longer to collect than all the rest
     names, tables = _keys(listed), list(_values(listed))
     index = {_plain(name): k for k, name in enumerate(names)}
     actions = list(map(_plain, chain.from_iterable(map(_keys, tables))))
@@ -430,24 +430,24 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
 
 
 def _keys(listed: Any) -> Any:
-    """Keys of a Gymnasium environment's dict, or positions in a list."""
+    """Return the keys of a Gymnasium environment's dict, or positions in a list."""
     return listed if isinstance(listed, Mapping) else range(len(listed))
 
 
 def _values(listed: Any) -> Any:
-    """Values of a Gymnasium environment's dict, or entries of a list."""
+    """Return the values of a Gymnasium environment's dict, or entries of a list."""
     return listed.values() if isinstance(listed, Mapping) else listed
 
 
 def _plain(value: Any) -> Any:
-    """A number from a Gymnasium environment as one of Python's; anything else as it is."""
+    """Return a number from a Gymnasium environment as one of Python's; other values unchanged."""
     return value.item() if isinstance(value, np.generic) else value
 
 
 def _start_of(
     env: gymnasium.Env[Any, Any], start: Hashable | Mapping[Hashable, float] | None
 ) -> dict[Hashable, float]:
-    """States in which the Gymnasium environment's episodes begin, with their probabilities."""
+    """Return the states in which the environment's episodes begin, with probabilities."""
     if start is None:
         shares = getattr(env.unwrapped, "initial_state_distrib", None)
         if shares is None:
@@ -479,16 +479,16 @@ def _model_of_table(
     goal: Callable[[Any], bool] | None,
     cost: CostFunction,
 ) -> EnvironmentSSP:
-    """The model of a Gymnasium environment: every state of its table, and the ends.
+    """Return the model of a Gymnasium environment: every state of its table, and the ends.
 
     Args:
-        table: of the environment.
+        table: table of the environment.
         begin: the states in which its episodes begin.
-        goal: which states are goals; None: those that are entered with a reward alone.
-        cost: of a step.
+        goal: predicate on states; None: goals are the states that are entered with a reward only.
+        cost: cost of a step.
 
     Raises:
-        ModelError: goals that cannot be told, or a cost that is no number >= 0.
+        ModelError: goals that do not follow from rewards, or a cost that is no number >= 0.
     """
     n_states = len(table.states)
     listed = np.arange(n_states) < table.listed
@@ -506,7 +506,7 @@ def _model_of_table(
         asked = zip(listed.tolist(), table.states, strict=True)
         goals = np.array([known and bool(goal(state)) for known, state in asked])
         parted = goes_on & ~goals
-    # where the environment also goes on from, the end has a number of its own, n_states higher
+    # a separate end of a state from which episodes may go on has a number n_states higher
     led = target + n_states * (over & parted[target])
     reached, first = np.unique(led, return_index=True)
     aims = np.flatnonzero(goals) + n_states * parted[goals]
@@ -540,14 +540,14 @@ def _model_of_table(
 
 
 def _fields_of(model: SSP) -> dict[str, Any]:
-    """Fields of a plain model, for the model of a Gymnasium environment."""
+    """Return the fields of a plain model, for the model of a Gymnasium environment."""
     return {name: getattr(model, name) for name in SSP.__dataclass_fields__}
 
 
 def _costs_of_outcomes(
     table: _Table, kept: IntArray, cost: CostFunction
 ) -> tuple[npt.ArrayLike, dict[float, Fraction]]:
-    """Costs of some outcomes in a Gymnasium table, from rewards, and the fractions among them."""
+    """Return the costs of some outcomes in a Gymnasium table, and the fractions among them."""
     if cost is _step_cost:
         return 1.0, {}
     if cost is _reward_cost:
@@ -563,10 +563,10 @@ def _costs_of_outcomes(
 
 
 def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
-    """Whether the Gymnasium environment terminates in a state with a reward, [states].
+    """Return a mask of states in which the environment terminates with a reward, [states].
 
     Raises:
-        ModelError: there are none, or one is entered with a reward and without.
+        ModelError: no such states, or one that is entered with a reward and without.
     """
     ending = steps[table.over[steps]]
     to, reward = table.target[ending], table.reward[ending]
@@ -599,19 +599,19 @@ class RolloutReport(Facts, ReadOnlyCopies):
     """Counts of the episodes that were rolled out in an environment."""
 
     episodes: int
-    goal: int  # reached it
-    failed: int  # ended elsewhere, or where the goal is out of reach
-    gave_up: int  # the policy gave up, as where too few steps are left
+    goal: int  # reached the goal
+    failed: int  # ended elsewhere, or where the goal is unreachable
+    gave_up: int  # the policy gave up, such as with too few steps left
     truncated: int  # cut off by a limit on the steps
     goal_probability: Estimate
-    failure_probability: Estimate  # whatever the reason
+    failure_probability: Estimate  # for any reason
     conditional_cost: Estimate  # mean cost of the episodes that reached the goal
     success_costs: FloatArray  # [goal] their costs
     mean_steps: float
-    step_limit: int | None  # the environment's own
+    step_limit: int | None  # of the environment
 
     def tables(self) -> list[Table]:
-        """How the episodes ended, and what they cost, with intervals."""
+        """Return a table of the ends of the episodes and their costs, with intervals."""
         return [
             Table([
                 ("episodes", self.episodes),
@@ -638,15 +638,15 @@ def rollout(
     """Play a policy in the environment, step by step, and count how the episodes end.
 
     A lottery draws one member for each episode. An episode ends at a goal or a dead-end of the
-    model, when the policy gives up, or when it is cut off: by the environment, by the horizon that
-    the policy was made for, or after ``max_steps``. A policy that knows what to do after failing
-    goes on with that; the episode counts as it failed, whatever it comes to.
+    model, when the policy gives up, or when it is cut off: by the environment, by the policy's
+    horizon, or after ``max_steps``. A policy with decisions after failing goes on with these; the
+    episode then counts as failed in any case.
 
     Args:
-        env: the environment; it is reset before each episode, and not closed. One that renders
-            each step, or a wrapper that records, shows the policy at play.
+        env: the environment; it is reset before each episode, and not closed. One that renders each
+            step, or a wrapper that records, shows the policy at play.
         policy: of a problem on ``from_gymnasium(env).model``, or on a product with that model.
-        episodes: how many to play.
+        episodes: number of episodes.
         seed: of the environment and of the policy's draws; the default plays the same each time.
         max_steps: steps after which an episode is cut off; None: 10,000.
         confidence: of the intervals.
@@ -656,8 +656,8 @@ def rollout(
         ModelError: wrong arguments, another policy, or an environment that leaves its table.
 
     Warns:
-        StepLimitWarning: the environment cut off episodes by a step limit that the policy does
-            not know of, so that what is certified for it need not hold there.
+        StepLimitWarning: the environment cut off episodes by a step limit that the policy's model
+            does not have, so that the certificate need not hold in the environment.
     """
     check_between_0_and_1("confidence", confidence)
     check_whole("episodes", episodes, most=MOST_EPISODES)
@@ -668,7 +668,7 @@ def rollout(
         lottery = on_original(lottery)
     model = lottery.model
     if not isinstance(model, EnvironmentSSP):
-        raise ModelError("the policy's model is of no environment: make it by from_gymnasium(env)")
+        raise ModelError("the policy's model has no environment: make it by from_gymnasium(env)")
     limit, step_limits = _step_limit_of(env), [member.step_limit for member in lottery.policies]
     horizon = None if None in step_limits else min(cast("list[int]", step_limits))
     most = min(m for m in (max_steps or MOST_STEPS, horizon) if m is not None)
@@ -681,12 +681,12 @@ def rollout(
         by = "a wrapper of its own" if limit is None else f"TimeLimit, max_episode_steps={limit}"
         warnings.warn(
             f"{_name_of(env)} cut off {cut_off:,} of {episodes:,} episodes ({by}), which the "
-            "policy does not know of: a model with a horizon counts steps",
+            "policy's model does not count: build it with a horizon",
             StepLimitWarning,
-            stacklevel=3,  # beyond the rollout and what explains its errors
+            stacklevel=3,  # past the rollout and the wrapper that explains its errors
         )
     costs = np.array([one.cost for one in played if one.end == "goal"])
-    # the points of a cell may lead where the model does not
+    # points of a cell may lead where the model's outcomes do not
     taken = None if isinstance(model, GridSSP) else pairs_taken(lottery, model)
     dearest, _ = greatest_total(model, min(most, limit or most), taken)
     return RolloutReport(
@@ -711,7 +711,7 @@ class _Episode(NamedTuple):
 
 
 class _Player:
-    """The members of a lottery, whose decisions and memories are asked for once, then kept."""
+    """The members of a lottery, with their decisions and memories cached."""
 
     def __init__(self, lottery: MixedPolicy, rng: np.random.Generator) -> None:
         """Play a lottery on an environment's model."""
@@ -721,7 +721,7 @@ class _Player:
         self.ended = cache(lambda member: member.ended)  # [states], whatever came before
 
     def decide(self, member: Policy, state: int, memory: int) -> tuple[int, int]:
-        """A pair, or GIVE_UP_CODE, and the memory with which it is taken."""
+        """Return a pair, or GIVE_UP_CODE, and the memory with which it is taken."""
         pairs, kept, cumulative = self._branches(member, state, memory)
         drawn = 0
         if len(pairs) > 1:
@@ -731,7 +731,7 @@ class _Player:
     def _asked(
         self, member: Policy, state: int, memory: int
     ) -> tuple[list[int], list[int], list[float]]:
-        """The decisions of a member, the memories with which they are played, running sums."""
+        """Return a member's decisions, their memories, and cumulative probabilities."""
         branches = member.branches(np.array([state]), np.array([memory]))
         kept = branches.kept(np.array([memory]))
         if UNDECIDED in branches.pair:
@@ -742,7 +742,7 @@ class _Player:
         return branches.pair.tolist(), kept.tolist(), np.cumsum(branches.probability).tolist()
 
     def _remembered(self, member: Policy, *step: float) -> int:
-        """Memory of a policy played in an environment after a step."""
+        """Return the memory of a policy played in an environment after a step."""
         memory, pair, state, cost = (np.array([part]) for part in step)
         return int(member.remember(memory, pair, state, cost)[0])
 
@@ -751,10 +751,10 @@ _SEEN = "observed in the environment, of which the policy's model may not be"
 
 
 def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _Episode:
-    """Play an episode of at most so many steps in the Gymnasium environment.
+    """Play an episode of at most ``most`` steps in the Gymnasium environment.
 
     Raises:
-        ModelError: the environment leaves its table, or a step costs what no step may.
+        ModelError: the environment leaves its table, or a step has a wrong cost.
     """
     model, over, lottery = player.model, player.over, player.lottery
     member = lottery.policies[int(player.rng.choice(len(lottery.policies), p=lottery.weights))]

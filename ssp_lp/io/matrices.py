@@ -1,4 +1,4 @@
-"""A transition matrix for each action, as pymdptoolbox keeps them."""
+"""Models from a transition matrix for each action, as in pymdptoolbox."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ def from_matrices(
     """Build a model from a transition matrix for each action.
 
     An action is not available in a state whose row is zero, or whose cost is infinite; a state
-    without any is a dead-end. Actions of goal states are dropped.
+    without actions is a dead-end. Actions of goal states are dropped.
 
     Args:
-        transitions: [actions] matrices [states, states], dense or sparse, of probabilities. Those
-            of QuantEcon's ``Q``, [states, actions, states], are ``numpy.moveaxis(Q, 1, 0)``.
+        transitions: [actions] matrices [states, states], dense or sparse, of probabilities. For
+            QuantEcon's ``Q``, [states, actions, states], use ``numpy.moveaxis(Q, 1, 0)``.
         goal: indices of the goal states.
-        costs: [states], [states, actions], or [actions] matrices [states, states]; either these
-            or the rewards.
-        rewards: likewise, none positive: the costs with the other sign.
-        actions: [actions] names; their positions if left out.
+        costs: [states], [states, actions], or [actions] matrices [states, states]; either costs
+            or rewards.
+        rewards: likewise, none positive: minus the costs.
+        actions: [actions] names; None: their positions.
         state_labels: names for sets of states, as in ``SSP.from_transitions``.
-        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
             Any other state without actions that is not a goal is then an error.
 
     Returns:
         The model; its states are the indices.
 
     Raises:
-        ModelError: the shapes do not fit, or naming the state and the action at fault.
+        ModelError: shapes that do not fit, or a wrong state and action, which the error names.
     """
     matrices = [_matrix(matrix) for matrix in transitions]
     n_states = matrices[0].shape[0] if matrices else 0
@@ -64,7 +64,7 @@ def from_matrices(
         raise ModelError("goal must be indices of states, at least one")
     if (goals < 0).any() or (goals >= n_states).any():
         raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")
-    # one row for each state and action, those of a state beside each other
+    # one row for each state and action, sorted by state
     n_actions = len(matrices)
     order = np.arange(n_states * n_actions).reshape(n_actions, n_states).T.reshape(-1)
     rows = sp.csr_array(sp.vstack(matrices, format="csr")[order])
@@ -97,11 +97,11 @@ def from_matrices(
 
 
 def _matrix(matrix: Any) -> Any:
-    """A transition matrix, sparse, without entries that are 0."""
+    """Return a transition matrix, sparse, without entries that are 0."""
     try:
         entries = sp.csr_array(matrix, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
-        raise ModelError(f"a matrix of transitions is none: {error}") from error
+        raise ModelError(f"a matrix of transitions is not a matrix: {error}") from error
     entries.sum_duplicates()
     entries.eliminate_zeros()
     return entries
@@ -110,7 +110,7 @@ def _matrix(matrix: Any) -> Any:
 def _paid_by_matrix(
     given: Any, state: IntArray, action: IntArray, target: IntArray, matrices: Sequence[Any]
 ) -> FloatArray:
-    """Cost of each outcome from matrices of costs or rewards, [outcomes]."""
+    """Return the cost of each outcome from matrices of costs or rewards, [outcomes]."""
     n_states, n_actions = matrices[0].shape[0], len(matrices)
     if isinstance(given, (list, tuple)) and any(sp.issparse(part) for part in given):
         if len(given) != n_actions or any(part.shape != matrices[0].shape for part in given):

@@ -1,4 +1,4 @@
-"""Models of Storm: programs and sparse models, read by way of the UMB archive that Storm writes."""
+"""Models of Storm: programs and sparse models, read through Storm's UMB archives."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import DeadEnds
 
 Constants = str | Mapping[str, Any]
-"""What the constants of a program are, such as "N=5,p=0.1"."""
+"""Values of a program's constants, such as "N=5,p=0.1"."""
 
 _BEYOND = "_OutOfBoundsBit"
-"""Storm's variable of states that it adds where another variable is to leave its bounds; in a
-program that is explored again, underscores follow its name."""
+"""Storm's variable of states that it adds if another variable would leave its bounds; in a program
+that is explored again, underscores follow its name."""
 
 _REFUSALS = (RuntimeError, ValueError, IndexError, TypeError, OverflowError, MemoryError)
-"""Errors of Storm arrive as errors of Python's own classes, too."""
+"""Types of errors that Storm raises, which include Python's own."""
 
 _AVERAGED = (
-    " (The cost differs between outcomes of one action, which Storm could only average: give each "
-    "outcome that costs more a step of its own.)"
+    " (The cost differs between outcomes of one action, which Storm cannot represent: give each "
+    "more expensive outcome a step of its own.)"
 )
 
 
 def _storm() -> Any:
-    """The module ``stormpy``.
+    """Return the module ``stormpy``.
 
     Raises:
         MissingDependencyError: it is not installed.
@@ -50,10 +50,10 @@ def _storm() -> Any:
 
 
 def _ask_storm(source: object, call: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Call a function of stormpy's with its log off, which goes to standard output.
+    """Call a function of stormpy with its log off, which is printed to standard output.
 
     Raises:
-        ModelError: Storm refuses; the message names the source and says why in Storm's words.
+        ModelError: Storm rejects the input; the message has the source and Storm's own words.
     """
     stormpy = _storm()
     log = stormpy.developer
@@ -62,7 +62,7 @@ def _ask_storm(source: object, call: Callable[..., Any], *arguments: Any, **opti
     try:
         return call(*arguments, **options)
     except (*_REFUSALS, stormpy.exceptions.StormError) as error:
-        raise ModelError(f"{source}: Storm refuses it: {error}") from error
+        raise ModelError(f"{source}: Storm rejects it: {error}") from error
     finally:
         log.set_log_level(level)
 
@@ -79,19 +79,18 @@ def read_with_storm(
     """Read a program in PRISM's language or in JANI through Storm.
 
     States are tuples of the values of their variables, in Storm's order (in JANI followed by the
-    names of locations, where an automaton has several); actions bear their labels; costs are those
-    of :func:`~ssp_lp.io.from_stormpy`, PRISM's rewards of states and of actions. All rewards are
-    ``named_costs``, except those that Storm cannot build or that are negative somewhere. JANI's
-    rewards that differ between outcomes of an action cannot be built: Storm could only average
-    them.
+    names of locations, if an automaton has several); actions have their labels; costs are those of
+    :func:`~ssp_lp.io.from_stormpy`, PRISM's rewards of states and of actions. All rewards are
+    ``named_costs``, except those that Storm cannot build or that are negative somewhere. Storm
+    cannot build JANI's rewards that differ between outcomes of an action, only their average.
 
     Args:
-        path: the file; its ending says what it is: .prism, .nm and .pm PRISM's language, .jani.
+        path: the file; its ending is .prism, .nm or .pm for PRISM's language, or .jani.
         goal: a label, or a condition on the variables such as "x=4 & !broken".
-        cost: the name of a reward model ("" for PRISM's without a name), or of a transient variable
+        cost: name of a reward model ("" for PRISM's without a name), or of a transient variable
             of JANI; None: the only one, or 1 for each action if there is none.
         constants: values of the constants that the program leaves open, as text or by name.
-        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
             Any other state without actions that is not a goal is then an error.
 
     Returns:
@@ -99,12 +98,12 @@ def read_with_storm(
 
     Raises:
         MissingDependencyError: stormpy is not installed.
-        ModelError: Storm refuses the file, the goal or the constants; a model in continuous time,
-            with observations or parameters; or naming the state and the action at fault.
+        ModelError: Storm rejects the file, the goal or the constants; a model in continuous time,
+            with observations or parameters; or naming the wrong state and action.
         OSError: the file cannot be read.
     """
     file = Path(path)
-    with file.open("rb"):  # Storm's own complaint would not be an OSError
+    with file.open("rb"):  # Storm's own error would not be an OSError
         stormpy = _storm()
     if file.suffix == ".jani":
         program, _ = _ask_storm(file, stormpy.parse_jani_model, str(file))
@@ -123,26 +122,26 @@ def read_with_storm(
 def _explored_program(
     stormpy: Any, file: Path, program: Any, goal: str, cost: str | None, dead_ends: DeadEnds | None
 ) -> ModelFile:
-    """Storm's model of a program without open constants."""
+    """Return Storm's model of a program without open constants."""
 
     def asked(source: str, text: str) -> Any:
-        """One property of the program."""
+        """Return a property of the program."""
         parsed = _ask_storm(source, stormpy.parse_properties, text, program)
         if len(parsed) != 1:
-            raise ModelError(f"{source}: one condition, not {len(parsed)}")
+            raise ModelError(f"{source}: there must be one condition, not {len(parsed)}")
         return parsed[0]
 
     labels = [label.name for label in getattr(program, "labels", ())]  # JANI's are variables
     listed = f" (labels: {', '.join(map(repr, labels))})" if labels else ""
     quoted = f'"{goal}"' if goal in (INITIAL, DEADLOCK, *labels) else goal
     formula = asked(f"{file}, goal {goal!r}{listed}", quoted)
-    # a condition that stands alone would have Storm explore no further than where it holds
+    # given a condition alone, Storm would not explore beyond the states in which it holds
     wanted = [formula, asked(str(file), "true")]
     known = _reward_names(program)
     place = chosen_reward(file, known, cost)
 
     def built(rewards: list[str] | None) -> Any:
-        """Storm's sparse model with some rewards; None: all."""
+        """Return Storm's sparse model with some rewards; None: all."""
         formulas = [f'R{{"{name}"}}min=? [C]' if name else "Rmin=? [C]" for name in rewards or ()]
         conditions = [*wanted, *(asked(str(file), text) for text in formulas)]
         options = _ask_storm(file, stormpy.BuilderOptions, conditions, program)
@@ -150,7 +149,7 @@ def _explored_program(
         options.set_build_choice_labels()
         options.set_build_state_valuations()
         options.set_scale_and_lift_transition_rewards(False)
-        options.set_add_out_of_bounds_state()  # its own check would refuse 0.8 + 0.1 + 0.1
+        options.set_add_out_of_bounds_state()  # its own check would reject 0.8 + 0.1 + 0.1
         if rewards is None:
             options.set_build_all_reward_models()
         return _ask_storm(file, stormpy.build_model, program, options=options)
@@ -168,7 +167,7 @@ def _explored_program(
 
 
 def _reward_names(program: Any) -> list[str]:
-    """Names of the rewards of Storm's program; those of JANI are its transient numbers."""
+    """Return the reward names of Storm's program; in JANI these are its transient numbers."""
     if hasattr(program, "reward_models"):
         return sorted(reward.name for reward in program.reward_models)
     numbers = [v for v in program.global_variables if v.is_transient]
@@ -178,16 +177,16 @@ def _reward_names(program: Any) -> list[str]:
 def _with_most_rewards(
     built: Callable[[list[str] | None], Any], names: list[str], place: int | None, program: Any
 ) -> Any:
-    """Storm's model of a program with all rewards; where Storm refuses, with those that it builds.
+    """Return Storm's model with all rewards, or with those that Storm can build.
 
     Args:
         built: builds the model with some rewards; None: with all.
-        names: of the rewards.
-        place: of the reward that must be there; None: no one must.
-        program: of stormpy.
+        names: names of the rewards.
+        place: position of the required reward; None: no reward is required.
+        program: program of stormpy.
 
     Raises:
-        ModelError: Storm cannot build the reward that must be there, or the model.
+        ModelError: Storm cannot build the required reward, or the model.
     """
     try:
         return built(None)
@@ -207,10 +206,10 @@ def _with_most_rewards(
 
 
 def _differs_between_outcomes(program: Any, cost: str) -> bool:
-    """Whether a program in JANI assigns a variable differently at destinations of one edge."""
+    """Return whether a JANI program assigns a variable differently at destinations of an edge."""
 
     def paid(destination: Any) -> float | str:
-        """The value assigned at a destination; as text where it is no number."""
+        """Return the value assigned at a destination; as text if it is no number."""
         for each in destination.assignments:
             if each.variable.name == cost:
                 value = each.expression
@@ -223,10 +222,10 @@ def _differs_between_outcomes(program: Any, cost: str) -> bool:
 
 
 def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
-    """Variables of states that Storm adds to those of a program in JANI.
+    """Return the variables that Storm adds to those of a program in JANI.
 
     Returns:
-        The names of the locations that they stand for; None: they distinguish no states.
+        The names of their locations; None: the variable distinguishes no states.
     """
     added: dict[str, list[str] | None] = {}
     automata = list(getattr(program, "automata", ()))
@@ -244,18 +243,18 @@ def from_stormpy(
 ) -> ModelFile:
     """Make a model of a sparse model of Storm's, a Markov decision process or Markov chain.
 
-    The cost of an outcome is what Storm's reward model says of it: the reward of its state, that
-    of its action and that of its transition, added as decimals. Actions bear the labels of
-    choices, states the values of their variables, where the model was built with them; else both
-    are numbers. Actions of goal states are dropped, and of states with the label "deadlock" that
-    no action leaves: they are dead-ends. Other labels of states become ``state_labels``, but for
-    names that reports use for something else, and conditions that Storm was asked: "(x = 2)".
+    The cost of an outcome is the sum of Storm's rewards of its state, its action and its
+    transition, added as decimals. Actions have the labels of choices, states the values of their
+    variables, if the model was built with them; otherwise both are numbers. Actions of goal states
+    are dropped. If no action leaves a state with the label "deadlock", its actions are dropped: it
+    is a dead-end. Other labels of states become ``state_labels``, except for names that reports use
+    already, and conditions that were passed to Storm: "(x = 2)".
 
     Args:
         model: such as ``stormpy.build_model(program)``; its numbers are floats.
         goal: the label of the goal states, or a formula of labels, '"a" & !"b"'.
-        cost: the name of a reward model; None: the only one, or 1 for each action if there is none.
-        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+        cost: name of a reward model; None: the only one, or 1 for each action if there is none.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
             Any other state without actions that is not a goal is then an error.
 
     Returns:
@@ -263,8 +262,8 @@ def from_stormpy(
 
     Raises:
         MissingDependencyError: stormpy is not installed.
-        ModelError: a model of another kind, no such goal or cost, or naming the state and the
-            action at fault, as where a reward is negative.
+        ModelError: a model of another kind, no such goal or cost, or naming the wrong state and
+            action, for instance one with a negative reward.
     """
     formula = None
     if '"' in goal:
@@ -284,11 +283,11 @@ def _model_of_storm(
     """Make a model of Storm's whose goals are the states with a label, or those of a formula.
 
     Args:
-        model: of stormpy.
-        goal: the goal's name.
-        formula: stormpy's property that says what the goal is; None: the label of its name.
+        model: model of stormpy.
+        goal: name of the goal.
+        formula: stormpy's property of the goal states; None: the label of this name.
         cost: as in :func:`from_stormpy`.
-        source: where the model comes from, for errors.
+        source: name of the model in errors.
         dead_ends: as in :func:`from_stormpy`.
         program: the program that Storm explored, to whose variables it added some.
 
@@ -311,9 +310,7 @@ def _model_of_storm(
         checking, every = _storm().model_checking, {"only_initial_states": False}
         checked = _ask_storm(source, checking, model, formula, **every)
         if not checked.is_qualitative():
-            raise ModelError(
-                f"{source}: the goal must say of each state whether it is one, not {goal!r}"
-            )
+            raise ModelError(f"{source}: the goal must be a condition on states, not {goal!r}")
         labels[goal] = np.array(list(checked.get_truth_values_vector()), dtype=np.int64)
     states = _state_names(archive, {} if program is None else _bookkeeping(program))
     paid = next((name for name, costs in raw.named_costs.items() if costs is raw.costs), "")
@@ -324,11 +321,11 @@ def _model_of_storm(
 def _state_names(
     archive: UmbArchive, added: Mapping[str, Sequence[str] | None]
 ) -> Sequence[Hashable] | None:
-    """Values of each state's variables, in Storm's order; None: they name no state.
+    """Return the values of each state's variables, in Storm's order; None: not distinct.
 
     Args:
-        archive: Storm's.
-        added: variables that Storm added, with the names of their values; None: leave them out.
+        archive: archive of Storm.
+        added: variables that Storm added, with the names of their values; None: left out.
     """
     variables, columns = archive.variables(), list[list[Hashable]]()
     beyond = [name for name in variables if name.rstrip("_") == _BEYOND]
@@ -337,20 +334,20 @@ def _state_names(
         if words is not None:
             columns.append([words[cast("int", value)] for value in values] if words else values)
     names: list[Hashable] = list(zip(*columns, strict=True))
-    for name in beyond:  # what the other variables show there is another state's
+    for name in beyond:  # other variables show values of another state there
         for state in np.flatnonzero(np.array(variables[name])).tolist():
             names[state] = _BEYOND, state
     return names if names and len(set(names)) == len(names) else None
 
 
 def _check_kind(kind: str, source: object) -> None:
-    """Raise :class:`ModelError` unless Storm's name of a kind of models is one that we read."""
+    """Raise :class:`ModelError` unless Storm's name of a kind of models is supported."""
     if kind not in ("MDP", "DTMC"):
-        raise ModelError(f"{source} is a {kind}: only MDPs and DTMCs are read")
+        raise ModelError(f"{source} is a {kind}: only MDPs and DTMCs are supported")
 
 
 def _check_sparse(model: Any, source: str) -> None:
-    """Raise :class:`ModelError` unless this is a sparse model of floats and of a kind we know."""
+    """Raise :class:`ModelError` unless this is a sparse model of floats and of a supported kind."""
     if not hasattr(model, "model_type"):
         raise ModelError(f"{source} must be a model of stormpy, not {type(model).__name__}")
     _check_kind(model.model_type.name, source)
@@ -359,4 +356,4 @@ def _check_sparse(model: Any, source: str) -> None:
     if model.supports_parameters or model.supports_uncertainty or model.is_exact:
         other = "intervals" if model.supports_uncertainty else "fractions"
         numbers = "parameters" if model.supports_parameters else other
-        raise ModelError(f"{source} has {numbers} for numbers: build it with floats")
+        raise ModelError(f"{source} has {numbers} as numbers: build it with floats")

@@ -1,4 +1,4 @@
-"""Arguments of a wrong type, told by name: each is held against the annotation that it has."""
+"""Errors for arguments of a wrong type: each value is compared with its annotation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _Made = TypeVar("_Made")
 
 
 class _Numbers:
-    """Stands for what numpy makes an array of."""
+    """Placeholder for any value that numpy makes an array of."""
 
 
 _NUMPY = SimpleNamespace(ArrayLike=_Numbers, NDArray=npt.NDArray, DTypeLike=Any)
@@ -44,7 +44,7 @@ _WORDS: dict[Any, tuple[str, str]] = {
     Iterable: ("a list", "lists"),
     _Numbers: ("numbers", "numbers"),
 }
-"""What a type is called, and several of it."""
+"""Names of a type, singular and plural."""
 
 _MADE_BY = {
     "Frontier": "trace_frontier(problem)",
@@ -53,7 +53,7 @@ _MADE_BY = {
     "GymnasiumWorld": "from_gymnasium(env)",
     "OccupationMeasure": "problem.program().solve()",
 }
-"""What makes an object of a class of answers."""
+"""Function or method that makes an object of each class of answers."""
 
 _FITS: dict[Any, Callable[[Any], bool]] = {
     Any: lambda value: True,
@@ -74,15 +74,15 @@ _FITS: dict[Any, Callable[[Any], bool]] = {
     ),
     _Numbers: lambda value: value is not None and _goes_into(np.asarray, value, np.float64),
 }
-"""Whether a value is of a type, as far as calls are concerned: lists for tuples, numpy's."""
+"""Tests of a value for a type: a list serves as a tuple, numpy's numbers as Python's."""
 
 
 def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
-    """Wrap a function so that its bare errors name the argument of a wrong type, if one is.
+    """Wrap a function so that its bare errors name the argument of a wrong type, if there is one.
 
-    Only a call that fails is looked at: its arguments are held against their annotations, and one
-    that does not fit becomes a :class:`ModelError`. What fails otherwise is raised as it is. Truth
-    values alone are looked at before, as anything would do for one.
+    Only failing calls are inspected: their arguments are compared with the annotations, and one
+    that does not fit becomes a :class:`ModelError`. Any other failure is raised unchanged. Only
+    flags are checked in advance, since any value would serve as one.
 
     Args:
         public: a function or method that users call.
@@ -93,7 +93,7 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
 
     @wraps(public)
     def call(*given: _Given.args, **named: _Given.kwargs) -> _Answer:
-        """The function, once its flags have been checked."""
+        """Call the function after checking its flags."""
         stated = dict(zip(placed, given, strict=False)) | named if flags else {}
         for flag in flags:
             check_flag(flag, stated.get(flag, False))
@@ -115,11 +115,11 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
 
 
 _BARE = (TypeError, AttributeError, LookupError, ValueError, OverflowError)
-"""Errors that an argument of a wrong type may lead to."""
+"""Errors that an argument of a wrong type may cause."""
 
 
 def _name_of(public: Callable[..., Any], of: object) -> str:
-    """Name of a function as a person who gives it arguments knows it, a method's object given."""
+    """Return the name of a function as its user writes it, with the class of a method's object."""
     name = public.__qualname__.replace(".<locals>", "")
     name = name if of is None else f"{type(of).__name__}.{public.__name__}"
     return name.removesuffix(".__init__")
@@ -139,7 +139,7 @@ def check_fields(made: object) -> None:
 
 
 def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
-    """Error text for the first of some arguments' values that misfits its annotation; or None."""
+    """Return an error text for the first argument whose value misfits its annotation, or None."""
     names = {**vars(sys.modules[annotated.__module__]), "npt": _NUMPY}
     for part, annotation in getattr(annotated, "__annotations__", {}).items():
         if part not in values:
@@ -147,7 +147,7 @@ def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
         try:
             stated = SimpleNamespace(__annotations__={"it": annotation})
             hint = get_type_hints(stated, names)["it"]
-        except (NameError, AttributeError):  # it names what only a type checker imports
+        except (NameError, AttributeError):  # a name that only a type checker imports
             continue
         if (fault := _misfit(part, values[part], hint)) is not None:
             return fault
@@ -155,9 +155,9 @@ def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
 
 
 def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | None:
-    """Error text for an argument's value that misfits its hint: which part, and the remedy.
+    """Return an error text for a value that misfits its annotation: which part, and the remedy.
 
-    Of a table or a list so many entries are looked at at most.
+    Of a table or a list at most ``most`` entries are examined.
     """
     kind, parts = get_origin(hint) or hint, get_args(hint)
     wrong = f"{place} must be {_in_words(hint)}, not {in_short(value)}"
@@ -172,7 +172,7 @@ def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | N
         default = f"; {made} makes one" if made else ""
         return wrong + next((f"; it has one: .{name}" for name in fit), default)
 
-    # what a table, a tuple or a list holds
+    # entries of a table, a tuple or a list
     is_table = isinstance(value, Mapping)
     listed = isinstance(value, Collection) and is_table == (kind is Mapping)
     if not (parts and listed) or kind in (Literal, Callable, np.ndarray):
@@ -188,7 +188,7 @@ def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | N
 
 
 def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:
-    """Whether an argument's value is of the hint's kind, whatever it holds."""
+    """Return whether an argument's value is of the annotated kind, whatever its entries are."""
     if kind is Literal:
         return value in parts
     if kind is Callable:
@@ -206,7 +206,7 @@ def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:
 
 
 def _goes_into(function: Callable[..., object], *arguments: Any) -> bool:
-    """Whether a function takes some arguments."""
+    """Return whether a function accepts these arguments."""
     try:
         function(*arguments)
     except (TypeError, ValueError, OverflowError):
@@ -215,7 +215,7 @@ def _goes_into(function: Callable[..., object], *arguments: Any) -> bool:
 
 
 def _in_words(hint: Any, *, several: bool = False) -> str:
-    """Type hint of an argument in words."""
+    """Return the type hint of an argument in words."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, UnionType):
         return " or ".join(dict.fromkeys(_in_words(part, several=several) for part in parts))

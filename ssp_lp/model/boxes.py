@@ -1,6 +1,6 @@
-"""Boxes: an interval for each probability of a model, such as counts allow.
+"""Boxes: an interval for each probability of a model, such as counts imply.
 
-Nature chooses the probabilities of every pair within its box, apart from all other pairs
+Nature chooses the probabilities of every pair within its box, independently of all other pairs
 ((s, a)-rectangular uncertainty: Nilim and El Ghaoui, Operations Research 53, 2005; Iyengar,
 Mathematics of Operations Research 30, 2005).
 """
@@ -29,10 +29,10 @@ from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP
 
 USEFUL_COUNT = 1_000
-"""Counts of a pair from which its boxes are narrow: about 0.05 each side at 95 % for a model."""
+"""Counts of a pair that give narrow boxes: about 0.05 each side at 95 % for a model."""
 
 FORCED = 1e-12
-"""By how much intervals must force one another to count: less is the rounding of their sums."""
+"""Least tightening of one interval by others that counts; less is the rounding of their sums."""
 
 
 @explained_class
@@ -40,11 +40,11 @@ FORCED = 1e-12
 class Boxes(Report, ReadOnlyCopies):
     """An interval for the probability of each outcome of a model.
 
-    Intervals are narrowed to the numbers that a distribution within the box can have.
+    Intervals are narrowed to the values that a distribution within the box can have.
 
     Raises:
-        ModelError: not a number for each outcome, ends outside [0, 1] or in the wrong order, or a
-            box of a pair that no distribution lies in.
+        ModelError: arrays without a number for each outcome, bounds outside [0, 1] or in the wrong
+            order, or the box of a pair that contains no distribution.
 
     Example:
         >>> model = SSP.from_transitions(
@@ -85,14 +85,15 @@ class Boxes(Report, ReadOnlyCopies):
     @classmethod
     @explained
     def from_counts(cls, model: SSP, confidence: float = 0.95) -> Boxes:
-        """Intervals of Clopper and Pearson (1934) that hold all at once with this confidence.
+        """Return the intervals of Clopper and Pearson (1934) that hold jointly.
 
-        The error is shared out in equal parts (union bound). A pair with one successor needs no
-        interval, a pair with two needs one: the other is its complement. Only outcomes of the
-        table are possible: give successors that may come but were not seen a row of count 0.
+        The error is divided equally among the intervals (union bound). A pair with one successor
+        needs no interval, a pair with two needs one, since the other is its complement. Only
+        outcomes of the table are possible: give successors that are possible but unseen a row of
+        count 0.
 
         Args:
-            model: of :meth:`ssp_lp.SSP.from_counts`.
+            model: model made by :meth:`ssp_lp.SSP.from_counts`.
             confidence: probability that the true probabilities lie in all boxes, in (0, 1).
 
         Raises:
@@ -102,7 +103,7 @@ class Boxes(Report, ReadOnlyCopies):
         counts, offsets = counts_of(model), model.outcome_offsets
         widths = np.diff(offsets)
         intervals = int(np.where(widths > 2, widths, widths - 1).sum())
-        error = (1.0 - confidence) / max(2 * intervals, 1)  # to each side
+        error = (1.0 - confidence) / max(2 * intervals, 1)  # on each side
         total = segment_sums(counts, offsets)[segment_ids(offsets)]
         alone, none, every = widths[segment_ids(offsets)] == 1, counts == 0.0, counts == total
         low = beta.ppf(error, np.where(none, 1.0, counts), total - counts + 1.0)
@@ -118,7 +119,7 @@ class Boxes(Report, ReadOnlyCopies):
         return replace(self.model, probabilities=read_only(shares))
 
     def fits(self, model: SSP) -> bool:
-        """Whether a model is the boxes' model by names and outcomes, whatever its probabilities."""
+        """Return whether a model has the names and outcomes of the boxes' model."""
         own = self.model
         return model is own or (
             np.array_equal(model.pair_offsets, own.pair_offsets)
@@ -130,18 +131,18 @@ class Boxes(Report, ReadOnlyCopies):
         )
 
     def check_model(self, model: SSP) -> None:
-        """Raise :class:`ModelError` if the boxes are those of another model."""
+        """Raise :class:`ModelError` unless the boxes belong to this model."""
         if not self.fits(model):
-            raise ModelError(f"box: the boxes are of another model, {self.model!r}")
+            raise ModelError(f"box: the boxes belong to another model, {self.model!r}")
 
     def __repr__(self) -> str:
-        """One line: the model, the widest interval and the confidence."""
+        """Return a line with the model, the widest interval and the confidence."""
         width = float((self.high - self.low).max(initial=0.0))
         sure = "" if self.confidence is None else f", confidence {self.confidence:g}"
         return f"Boxes({self.model!r}, widest {width:.3g}{sure})"
 
     def tables(self) -> Sequence[Table]:
-        """Each outcome with its count, probability and interval, and notes on wide boxes."""
+        """Return a table of counts, probabilities and intervals, with notes on wide boxes."""
         model = self.model
         pair = segment_ids(model.outcome_offsets)
         counts = np.full(len(pair), np.nan) if model.counts is None else model.counts
@@ -155,7 +156,7 @@ class Boxes(Report, ReadOnlyCopies):
         return [Table(rows, head, title, self._remarks(), left=3)]
 
     def _remarks(self) -> list[str]:
-        """Notes on what the boxes do not know: successors never seen, pairs of few counts."""
+        """Return notes on the boxes' gaps: successors never seen, pairs of few counts."""
         model, counts = self.model, self.model.counts
         if counts is None or self.confidence is None:
             return []
@@ -172,7 +173,7 @@ class Boxes(Report, ReadOnlyCopies):
 
 
 def counts_of(model: SSP) -> FloatArray:
-    """Counts of a model's outcomes, [outcomes]; :class:`ModelError` if it was not made of any."""
+    """Return the counts of a model's outcomes, [outcomes]; :class:`ModelError` without counts."""
     if model.counts is None:
         raise ModelError("the model has no counts: build it by SSP.from_counts(table, goal)")
     return model.counts
@@ -182,17 +183,17 @@ def counts_of(model: SSP) -> FloatArray:
 def posterior_draws(
     model: SSP, draws: int, seed: int | np.random.Generator, *, prior: float = 1.0
 ) -> list[SSP]:
-    """Models with probabilities drawn from the posterior of their counts.
+    """Return models with probabilities drawn from the posterior of a model's counts.
 
-    The probabilities of each pair have a Dirichlet distribution, by itself, whose parameters are
-    the counts and ``prior`` on top of each. Solve them by ``solve_many``, or evaluate one policy on
-    each, and the spread of the results is what the counts leave open.
+    The probabilities of each pair have an independent Dirichlet distribution, whose parameters are
+    the counts plus ``prior``. Solve the models by ``solve_many``, or evaluate one policy on each:
+    the spread of the results is the uncertainty that the counts leave.
 
     Args:
-        model: of :meth:`ssp_lp.SSP.from_counts`.
-        draws: how many.
+        model: model made by :meth:`ssp_lp.SSP.from_counts`.
+        draws: number of models.
         seed: a number or a generator.
-        prior: counts that each outcome is given before any is seen, > 0.
+        prior: count added to that of each outcome, > 0.
 
     Raises:
         ModelError: a model without counts, or a prior that is not positive.
@@ -212,9 +213,9 @@ def posterior_draws(
 def greatest_mean(
     low: FloatArray, high: FloatArray, worth: FloatArray, offsets: IntArray
 ) -> FloatArray:
-    """Probabilities within boxes that make the mean of a worth greatest, [entries].
+    """Return the probabilities within boxes that maximise the mean of a worth, [entries].
 
-    From the least probabilities on, what is missing to 1 goes to the best entries first.
+    Starting from the least probabilities, the rest of the mass goes to the best entries first.
 
     Args:
         low: [entries].

@@ -1,4 +1,4 @@
-"""Continuous worlds: their grid of cells and their noise, steps from points, and episodes there."""
+"""Continuous worlds: the grid of cells, the noise, the step function, and simulated episodes."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ from ssp_lp.model.ssp import SSP
 ON_EDGE: Final = 1e-9
 """A coordinate this close to an edge, in widths of a cell, lies on it.
 
-Rounding moves a coordinate by some 1e-16 of its size, so that a point which lies on an edge in
-exact arithmetic is treated alike on every machine.
+Rounding moves a coordinate by some 1e-16 of its size; with this tolerance a point that lies on an
+edge in exact arithmetic is treated alike on every machine.
 """
 
 MOST_STATES: Final = 2**31 - 1
-"""Successors are kept as 32-bit integers."""
+"""Successors are stored as 32-bit integers."""
 
 Coordinates = tuple[FloatArray, ...]
-"""One array for each axis; they broadcast against each other."""
+"""One array for each axis; the arrays broadcast against each other."""
 
 World = npt.NDArray[Any]
-"""Where simulated episodes stand in a world, [episodes, ...]."""
+"""Positions of simulated episodes in a world, [episodes, ...]."""
 
 Moved = tuple[World, IntArray, FloatArray]
-"""What a step in a world came to: the worlds, the model's states, the costs, [episodes] each."""
+"""Result of a step in a world: positions, states of the model, costs, [episodes] each."""
 
 
 @explained_class
 @dataclass(frozen=True)
 class Axis:
-    """One coordinate: the interval from low to high in equal cells, numbered upwards from 0.
+    """A coordinate: the interval from low to high in equal cells, numbered upwards from 0.
 
     A point between two cells belongs to the upper one. On a periodic axis, such as an angle, low
-    and high are the same point and every number lies in some cell; to centre the cells of a heading
-    on multiples of their width, begin half a width below 0. ``split_edges``: a point of a
-    quadrature that lies between two cells counts half in each, which keeps mirrored motions alike.
+    and high are the same point and every number lies in some cell; to centre the cells of a
+    heading on multiples of their width, begin half a width below 0. ``split_edges``: a point of a
+    quadrature between two cells counts half in each, which preserves mirror symmetries.
     """
 
     low: float
@@ -75,27 +75,27 @@ class Axis:
         return (self.high - self.low) / self.cells
 
     def misses(self, heights: FloatArray) -> BoolArray:
-        """Coordinates off the continuous model's axis, in widths of a cell, or no numbers."""
+        """Return a mask of coordinates, in widths of a cell, that are not on the axis, or NaN."""
         if self.periodic:
             return ~np.isfinite(heights)
         return ~((heights >= -ON_EDGE) & (heights <= self.cells + ON_EDGE))
 
     def above(self, heights: FloatArray) -> IntArray:
-        """Cell of the continuous model's axis at each height, the upper one on an edge."""
+        """Return the axis's cell at each height, the upper one on an edge."""
         return self._numbered(np.floor(heights + ON_EDGE))
 
     def below(self, heights: FloatArray) -> IntArray:
-        """Cell of the continuous model's axis at each height, the lower one on an edge."""
+        """Return the axis's cell at each height, the lower one on an edge."""
         return self._numbered(np.ceil(heights - ON_EDGE) - 1.0)
 
     def wrapped(self, values: FloatArray) -> FloatArray:
-        """Coordinates of a periodic axis within low and high; others as they are."""
+        """Return the coordinates of a periodic axis within low and high; others unchanged."""
         if not self.periodic:
             return values
         return self.low + np.mod(values - self.low, self.high - self.low)
 
     def _numbered(self, cells: FloatArray) -> IntArray:
-        """Numbers of cells on the continuous model's axis, kept within it."""
+        """Return the indices of cells, clipped to the axis."""
         if self.periodic:
             inside = cells - self.cells * np.floor(cells / self.cells)
         else:
@@ -111,7 +111,7 @@ class Grid:
 
     @explained
     def __init__(self, axes: Sequence[Axis]) -> None:
-        """Take the axes in the order of the coordinates.
+        """Create the grid of axes in the order of the coordinates.
 
         Raises:
             ModelError: no axis, or more cells than a model may have states.
@@ -134,12 +134,12 @@ class Grid:
 
     @cached_property
     def strides(self) -> tuple[int, ...]:
-        """Steps in a grid cell's number along each axis."""
+        """Difference of a grid cell's number to the next cell along each axis."""
         return tuple(math.prod(self.shape[k + 1 :]) for k in range(len(self.axes)))
 
     @explained
     def index_of(self, cells: npt.ArrayLike) -> tuple[IntArray, ...]:
-        """Position of each grid cell along each axis; :class:`ModelError` if there is none."""
+        """Return the position of each grid cell along each axis; :class:`ModelError` if unknown."""
         given = np.asarray(cells)
         if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
             raise ModelError(f"cells are whole numbers, 0 .. {self.n_cells - 1}; ends have others")
@@ -147,16 +147,16 @@ class Grid:
 
     @explained
     def centre(self, cells: npt.ArrayLike) -> FloatArray:
-        """Midpoints of grid cells: numbers of any shape -> [..., axes]."""
+        """Return the midpoints of grid cells: numbers of any shape -> [..., axes]."""
         index = zip(self.axes, self.index_of(cells), strict=True)
         return np.stack([axis.low + (k + 0.5) * axis.width for axis, k in index], axis=-1)
 
     @explained
     def place(self, state: int) -> tuple[int, int] | None:
-        """Position along the first two axes of a state of the model, for pictures; None: an end.
+        """Return a state's position along the first two axes, for pictures; None for ends.
 
         Raises:
-            ModelError: there is one axis, or no state has this number.
+            ModelError: the grid has one axis, or no state has this number.
         """
         if len(self.axes) < 2:
             raise ModelError("grid.place needs two axes: a picture has two directions")
@@ -167,7 +167,7 @@ class Grid:
 
     @explained
     def cell_of(self, points: npt.ArrayLike) -> Any:
-        """Grid cell of each point: [..., axes] -> numbers, an int for a single point.
+        """Return the grid cell of each point: [..., axes] -> numbers, an int for a single point.
 
         Raises:
             ModelError: a point lies outside the box, or has another number of coordinates.
@@ -183,14 +183,14 @@ class Grid:
         return int(cells) if cells.ndim == 0 else cells
 
     def heights(self, coordinates: Coordinates) -> Coordinates:
-        """Coordinates of a continuous model's points in widths of a cell above the low ends."""
+        """Return the coordinates of points above the low ends, in widths of a cell."""
         return tuple(
             np.asarray((values - axis.low) * (axis.cells / (axis.high - axis.low)))
             for axis, values in zip(self.axes, coordinates, strict=True)
         )
 
     def misses(self, heights: Coordinates) -> BoolArray:
-        """Points outside the grid's box, broadcast over those axes that any of them misses."""
+        """Return a mask of points outside the grid's box, broadcast over the axes they miss."""
         missed: BoolArray = np.zeros((), dtype=np.bool_)
         for axis, values in zip(self.axes, heights, strict=True):
             off = axis.misses(values)
@@ -199,9 +199,10 @@ class Grid:
         return missed
 
     def numbers_about(self, heights: Coordinates, *, split: bool = True) -> list[IntArray]:
-        """Grid cells that each point counts in with equal shares: one array, or 2, 4, ...
+        """Return the grid cells among which each point is divided equally: one array, or 2, 4, ...
 
-        Several only where a point lies on an edge of an axis that splits them; else the upper one.
+        Several cells only for a point on an edge of an axis with ``split_edges``; else the upper
+        one.
         """
         parts: list[list[IntArray]] = []
         for axis, stride, values in zip(self.axes, self.strides, heights, strict=True):
@@ -218,7 +219,7 @@ class Grid:
         return totals
 
     def __str__(self) -> str:
-        """The box, interval by interval."""
+        """Return the box, interval by interval."""
         return "the box " + " x ".join(
             f"[{axis.low:g}, {axis.high:g}{')' if axis.periodic else ']'}" for axis in self.axes
         )
@@ -227,10 +228,10 @@ class Grid:
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class Distribution(ReadOnlyCopies):
-    """A random number, given by its quantile function; drawn independently of all others.
+    """A random number, given by its quantile function; independent of all others.
 
-    ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal one: any vectorised function from
-    levels in (0, 1) to values that does not fall. :meth:`uniform` and :meth:`discrete` make others.
+    ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal one: any non-decreasing vectorised
+    function from levels in (0, 1) to values. :meth:`uniform` and :meth:`discrete` make others.
     """
 
     quantile: Callable[[FloatArray], npt.ArrayLike]
@@ -238,13 +239,13 @@ class Distribution(ReadOnlyCopies):
     probabilities: FloatArray | None = None  # [atoms]
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` for a quantile function that is none."""
+        """Raise :class:`ModelError` unless the quantile function is callable."""
         check_fields(self)
 
     @classmethod
     @explained
     def uniform(cls, low: float, high: float) -> Distribution:
-        """Uniform noise between two numbers; :class:`ModelError` unless low <= high, finite."""
+        """Return uniform noise on an interval; :class:`ModelError` unless low <= high, finite."""
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
             raise ModelError(f"a uniform distribution needs low <= high, not {low!r}, {high!r}")
         return cls(partial(_between, float(low), float(high)))
@@ -252,7 +253,7 @@ class Distribution(ReadOnlyCopies):
     @classmethod
     @explained
     def discrete(cls, values: npt.ArrayLike, probabilities: npt.ArrayLike) -> Distribution:
-        """Noise of finitely many values, [atoms], with their probabilities, [atoms].
+        """Return noise with finitely many values, [atoms], and probabilities, [atoms].
 
         Raises:
             ModelError: other shapes, a value that is not finite, or no probabilities.
@@ -271,13 +272,13 @@ class Distribution(ReadOnlyCopies):
         return cls(quantile, read_only(atoms), read_only(chance))
 
     def __repr__(self) -> str:
-        """The quantile function, or how many values there are."""
+        """Return the quantile function, or the number of values."""
         law = in_short(self.quantile) if self.values is None else f"{self.values.size} values"
         return f"Distribution({law})"
 
     @explained
     def at(self, levels: FloatArray) -> FloatArray:
-        """Noise of the continuous model at levels in (0, 1); :class:`ModelError` if not finite."""
+        """Return the noise at levels in (0, 1); :class:`ModelError` if not finite."""
         values = np.asarray(self.quantile(levels))
         real = values.dtype.kind in "biuf" and values.shape == levels.shape
         if not real or not np.isfinite(values).all():
@@ -286,12 +287,12 @@ class Distribution(ReadOnlyCopies):
 
 
 def _between(low: float, high: float, levels: FloatArray) -> FloatArray:
-    """Uniform noise of a continuous model at each level, like ``levels``."""
+    """Return uniform noise of a continuous model at each level, like ``levels``."""
     return low + (high - low) * levels
 
 
 def _atoms_at(atoms: FloatArray, cumulative: FloatArray, levels: FloatArray) -> FloatArray:
-    """Discrete noise of a continuous model at each level, like ``levels``."""
+    """Return discrete noise of a continuous model at each level, like ``levels``."""
     return np.asarray(atoms[np.searchsorted(cumulative, levels, side="right")])
 
 
@@ -319,20 +320,19 @@ class ContinuousModel:
 
     Attributes:
         grid: the box of coordinates and its cells.
-        actions: every one is there in every cell, unless ``allowed`` says otherwise.
+        actions: available in every cell, unless ``allowed`` is given.
         step: the step function.
         noise: the independent random numbers that a step draws.
         dead_ends: label of each way to fail -> cost of each stage spent in it; the library
-            charges it only where a criterion says so (``charge_failing_step``).
-        outside: the dead-end of a step that goes on outside the box; None: such a step is an error.
-        alike: where it is known that pairs share their outcomes, exactly, a function that
-            says so, and each such set of pairs is worked out once: (positions of cells along
-            each axis, positions of actions) -> whole numbers >= 0, not many more than pairs,
-            equal for pairs with equal outcomes.
-        allowed: where actions are not there everywhere, a function that says where each is:
-            ``allowed(point, action) -> truth values``, called with the middles of many cells, an
-            array for each axis. What a cell's middle allows goes for the whole cell, in the model
-            and when it is played in the world; ``step`` is asked for nothing else.
+            charges it only if the criterion does (``charge_failing_step``).
+        outside: the dead-end of a step that leaves the box; None: such a step is an error.
+        alike: function that groups pairs with exactly equal outcomes, each of which is computed
+            once: (positions of cells along each axis, positions of actions) -> whole numbers >= 0,
+            not many more than pairs, equal for pairs with equal outcomes.
+        allowed: function that says which actions a cell has: ``allowed(point, action) -> truth
+            values``, called with the midpoints of many cells, an array for each axis. The answer at
+            the midpoint holds for the whole cell, in the model and in the simulated world; ``step``
+            is called for allowed pairs only. None: every action in every cell.
 
     The model that :func:`~ssp_lp.model.discretise.discretise` makes of it has the
     cells as states 0, 1, ..., then the goal, then the dead-ends (:meth:`end_state`).
@@ -348,17 +348,17 @@ class ContinuousModel:
     allowed: Allowed | None = None
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` for actions, noise or an outside that cannot be."""
+        """Raise :class:`ModelError` for wrong actions, noise or ``outside``."""
         check_fields(self)
         if len(self.actions) == 0 or len(set(self.actions)) < len(self.actions):
             raise ModelError("a continuous model needs actions, each of them once")
         if self.outside is not None and self.outside not in self.dead_ends:
-            raise ModelError(f"outside={self.outside!r} is none of the dead-ends")
+            raise ModelError(f"outside={self.outside!r} is not one of the dead-ends")
         if self.n_states > MOST_STATES:
             raise ModelError(f"{self.n_states:,} states are too many; 2**31 is the limit")
 
     def __repr__(self) -> str:
-        """One line: the box, and how much there is of what."""
+        """Return a line with the box, the numbers of cells, actions and noise, and the ends."""
         ends = ", ".join(("goal", *self.dead_ends))
         return (
             f"ContinuousModel({self.grid}, {self.grid.n_cells:,} cells, {len(self.actions)} "
@@ -367,12 +367,12 @@ class ContinuousModel:
 
     @property
     def n_states(self) -> int:
-        """Number of cells of the continuous model, goal and dead-ends included."""
+        """Number of the continuous model's states: cells, goal and dead-ends."""
         return self.grid.n_cells + 1 + len(self.dead_ends)
 
     @cached_property
     def allowed_pairs(self) -> IntArray | None:
-        """Pairs of the continuous model, cell * actions + action, [pairs]; None: all there are.
+        """Pairs of the continuous model, cell * actions + action, [pairs]; None: all pairs.
 
         Raises:
             ModelError: ``allowed`` returns no truth values, or leaves a cell without actions.
@@ -380,7 +380,7 @@ class ContinuousModel:
         return self.allowed_between(0, self.grid.n_cells)
 
     def allowed_between(self, first: int, end: int) -> IntArray | None:
-        """Pairs of the continuous model's cells first .. end - 1, as in ``allowed_pairs``.
+        """Return the pairs of cells first .. end - 1, as in ``allowed_pairs``.
 
         Raises:
             ModelError: ``allowed`` returns no truth values, or leaves a cell without actions.
@@ -409,10 +409,10 @@ class ContinuousModel:
 
     @explained
     def end_state(self, end: str | int) -> int:
-        """State of the continuous model's end: "goal", a dead-end's label, or its number.
+        """Return the state of an end: "goal", a dead-end's label, or its number.
 
         Raises:
-            ModelError: there is no such end.
+            ModelError: no such end exists.
         """
         names = ("goal", *self.dead_ends)
         if isinstance(end, str) and end not in names:
@@ -424,10 +424,10 @@ class ContinuousModel:
 
 
 class _Taken(NamedTuple):
-    """What a step came to; every array has the points' dimensions and broadcasts to them."""
+    """Result of a step; every array has the points' dimensions and broadcasts to them."""
 
     point: Coordinates
-    heights: Coordinates  # in widths of a cell above the low ends; 0 where that is off the axis
+    heights: Coordinates  # in widths of a cell above the low ends; 0 if off the axis
     cost: FloatArray
     end: IntArray  # 0 goes on, 1 goal, 2 .. dead-ends
 
@@ -443,19 +443,19 @@ def take_step_in_world(
 
     Args:
         model: the world.
-        point: an array for each axis, of as many dimensions as ``shape`` and broadcasting to it.
-        action: its position among the actions.
+        point: an array for each axis, with as many dimensions as ``shape``, broadcasting to it.
+        action: position of the action among the model's actions.
         noise: an array for each random number, likewise.
-        shape: of all the points together.
+        shape: common shape of the points.
 
     Raises:
-        ModelError: the step function's answer is of a wrong form, or it leaves the box.
+        ModelError: the step function returns a value of a wrong form, or leaves the box.
     """
     name, grid = model.actions[action], model.grid
     moved, cost, end = _read_world(model.step(point, name, noise), len(grid.axes), shape)
 
     def refuse(broken: BoolArray, words: str) -> None:
-        """Raise :class:`ModelError` for the first point that was moved wrongly."""
+        """Raise :class:`ModelError` for the first point with a wrong result."""
         if broken.any():
             first = tuple(np.argwhere(np.broadcast_to(broken, shape))[0])
             begin, there = (
@@ -470,7 +470,7 @@ def take_step_in_world(
     refuse(~(np.isfinite(cost) & (cost >= 0.0)), "to a cost that is negative or not finite")
     heights = grid.heights(moved)
     missed = grid.misses(heights)
-    if missed.any():  # what goes on outside the box fails, or is an error
+    if missed.any():  # outside the box a step fails, or is an error
         lost = missed & (end == 0)
         for number, values in enumerate(moved):
             refuse(np.isnan(values) & (end == 0), f"to NaN as coordinate {number}")
@@ -488,7 +488,7 @@ def take_step_in_world(
 def _read_world(
     answer: Any, n_axes: int, shape: tuple[int, ...]
 ) -> tuple[Coordinates, FloatArray, IntArray]:
-    """Coordinates, cost and end that a continuous model's step answers."""
+    """Return the checked coordinates, cost and end that a continuous model's step returned."""
     if not isinstance(answer, tuple) or len(answer) != 3:
         raise ModelError(f"step must return (new point, cost, end), not {type(answer).__name__}")
     moved, paid, ended = answer
@@ -508,7 +508,7 @@ def _read_world(
 
 
 def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[Any]:
-    """The answer of a continuous model's step as an array of the points' number of dimensions."""
+    """Return a value of a continuous model's step as an array with the points' dimensions."""
     array = np.asarray(answer)
     array = array.reshape((1,) * (len(shape) - array.ndim) + array.shape)
     fits = array.ndim == len(shape) and all(
@@ -525,23 +525,23 @@ def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> 
 @explained_class
 @dataclass(frozen=True, eq=False)
 class WorldSimulator:
-    """The world itself, many episodes at a time: ``simulate(..., simulator=WorldSimulator(...))``.
+    """Simulator of the world itself: ``simulate(..., simulator=WorldSimulator(...))``.
 
-    The episodes are independent of how the grid model was made, so the interval that ``simulate``
-    gives for the probability of the goal (Clopper and Pearson's, exact for every probability and
-    number of episodes) holds for the policy in the world. A policy that gives up ends its episode,
-    as a failure.
+    The episodes do not depend on the grid model, so the interval that ``simulate`` returns for the
+    probability of the goal (Clopper and Pearson's, exact for every probability and number of
+    episodes) holds for the policy in the world. A policy that gives up ends its episode, as a
+    failure.
 
     Attributes:
-        world: what a step does.
-        start: for each axis a number, or the distribution it is drawn from.
+        world: the continuous model.
+        start: for each axis a number, or a distribution.
     """
 
     world: ContinuousModel
     start: Sequence[float | Distribution]
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` for no world, or a start with another number of coordinates."""
+        """Raise :class:`ModelError` for no world, or a start with a wrong number of coordinates."""
         check_fields(self)
         axes = self.world.grid.axes
         if len(self.start) != len(axes):
@@ -552,7 +552,7 @@ class WorldSimulator:
         if model.n_states != self.world.n_states:
             raise ModelError(
                 f"the simulator's world has {self.world.n_states:,} states, the policy's model "
-                f"{model.n_states:,}: take the world that the model was made of"
+                f"{model.n_states:,}: pass the world of which the model was made"
             )
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:

@@ -1,4 +1,4 @@
-"""A model of a continuous world: points of noise, and the outcomes of cells and actions tallied."""
+"""Discretisation of a continuous world: trials of each cell and action, and their outcomes."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ _MOST_POINTS = 1_000_000  # along one axis
 
 
 class Trials(NamedTuple):
-    """From where, and with which noise, a step is tried in each cell."""
+    """Trials of a step in each cell: points in the cell and values of the noise."""
 
     shape: tuple[int, ...]  # dimensions of the trials of one cell
-    weights: FloatArray | None  # [trials], ordered as in shape; None: all the same
+    weights: FloatArray | None  # [trials], ordered as in shape; None: all equal
     draw: Callable[[IntArray], tuple[Coordinates, Coordinates]]
     """Cells -> points and noise, arrays that broadcast to [*shape, cells]."""
-    repeatable: bool  # whether a cell gets the same trials every time
+    repeatable: bool  # whether a cell has the same trials every time
 
 
 @explained_class
 @dataclass(frozen=True)
 class Quadrature:
-    """Every combination of points in the cell, axis by axis, and of levels of the noise.
+    """All combinations of points in the cell, axis by axis, and of levels of the noise.
 
     Attributes:
-        points: along each axis and in each random number: one number for all of them, or one for
-            each axis and then for each random number. Discrete noise takes its own values.
+        points: number of points for each axis and each random number: one number for all, or one
+            for each axis and then for each random number. Discrete noise takes its own values.
         rule: "midpoint": equal parts, a point in the middle of each, equally weighted.
             "gauss-legendre": its nodes and weights. Probabilities of cells integrate a function
-            that jumps, for which the midpoints are as good and keep symmetries exact; where
-            smooth costs are averaged over a cell, Gauss and Legendre's rule is better.
+            that jumps, for which midpoints are as good and preserve symmetries exactly; if smooth
+            costs are averaged over a cell, Gauss and Legendre's rule is better.
     """
 
     points: int | Sequence[int] = 4
     rule: str = "midpoint"
 
     def trials(self, model: ContinuousModel) -> Trials:
-        """Quadrature points for discretising, a dimension for each axis, then each random number.
+        """Return the quadrature points, one dimension for each axis and each random number.
 
         Raises:
             ModelError: a wrong number of points, or an unknown rule.
@@ -69,7 +69,7 @@ class Quadrature:
         noise = tuple(placed[len(axes) :])
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
-            """The nodes in some cells, and those of the noise."""
+            """Return the nodes in some cells, and those of the noise."""
             index = zip(axes, model.grid.index_of(cells), placed, strict=False)
             return tuple(axis.low + (k + node) * axis.width for axis, k, node in index), noise
 
@@ -79,7 +79,7 @@ class Quadrature:
         return Trials(tuple(map(len, shares)), None if equal else combined, draw, repeatable=True)
 
     def _parts(self, model: ContinuousModel) -> list[tuple[FloatArray, FloatArray]]:
-        """Quadrature points and weights of each axis, in widths of a cell, and random number."""
+        """Return the points and weights of each axis, in widths of a cell, and random number."""
         n_axes, n_noise = len(model.grid.axes), len(model.noise)
         given = self.points
         counts: list[Any] = np.ravel(given).tolist() * (1 if np.ndim(given) else n_axes + n_noise)
@@ -94,12 +94,12 @@ class Quadrature:
         return within[:n_axes] + [
             (draw.at(levels), weights)
             if draw.values is None or draw.probabilities is None
-            else (draw.values, draw.probabilities)  # a discrete one has its own
+            else (draw.values, draw.probabilities)  # of a discrete distribution
             for draw, (levels, weights) in noise
         ]
 
     def _levels(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Quadrature points in (0, 1) and weights that sum to 1."""
+        """Return quadrature points in (0, 1) and weights that sum to 1."""
         if self.rule == "midpoint":
             return (np.arange(count) + 0.5) / count, np.full(count, 1.0 / count)
         if self.rule == "gauss-legendre":
@@ -111,10 +111,10 @@ class Quadrature:
 @explained_class
 @dataclass(frozen=True)
 class Samples:
-    """Independent samples of each pair: a point uniform in the cell, and noise as it is drawn.
+    """Independent samples of each pair: a point uniform in the cell, and a value of the noise.
 
     Attributes:
-        number: of samples of each pair.
+        number: number of samples of each pair.
         seed: a number or a generator; the same number gives the same model.
     """
 
@@ -122,18 +122,18 @@ class Samples:
     seed: np.random.Generator | int
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` for less than one sample, or for a seed that is none."""
+        """Raise :class:`ModelError` for less than one sample, or for a wrong seed."""
         check_whole("number", self.number)
         is_number = isinstance(self.seed, (int, np.integer)) and self.seed >= 0
         if not (is_number or isinstance(self.seed, np.random.Generator)):
             raise ModelError(f"seed must be a number such as 0 or a generator, not {self.seed!r}")
 
     def trials(self, model: ContinuousModel) -> Trials:
-        """Sample points for discretising, fresh at every call, in one dimension."""
+        """Return the sample points, new ones at every call, in one dimension."""
         rng, axes = np.random.default_rng(self.seed), model.grid.axes
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
-            """Points drawn in some cells, and the noise at each."""
+            """Return the points drawn in some cells, and the noise at each."""
             shape = (int(self.number), len(cells))
             index = zip(axes, model.grid.index_of(cells), strict=True)
             point = tuple(axis.low + (k + rng.random(shape)) * axis.width for axis, k in index)
@@ -143,25 +143,25 @@ class Samples:
 
     @explained
     def deviation(self, pairs: int, reachable: int, confidence: float = 0.95) -> float:
-        """Error of a discretised pair's sampled outcomes, in the sum of absolute differences.
+        """Return the error of a pair's sampled outcomes, as a sum of absolute differences.
 
-        The statement: with at least this confidence over the samples, every one of ``pairs`` has
-        sampled probabilities within this distance of the true ones, those of a point uniform in
-        the cell. Weissman et al. (2003), theorem 2.1, for one pair; the union bound for all.
+        With at least this confidence over the samples, all of ``pairs`` have sampled probabilities
+        within this distance of the true ones, those of a point uniform in the cell. Weissman et al.
+        (2003), theorem 2.1, for one pair; the union bound for all.
 
-        Then, for every policy at once, its failure probability in the true grid model exceeds or
-        undercuts that in the sampled one by at most half the deviation times its expected number of
+        Then, for every policy at once, the failure probability in the true grid model differs from
+        that in the sampled one by at most half the deviation times the policy's expected number of
         steps in the sampled one (each step errs by at most half the distance, for a function with
-        values in [0, 1]). Nothing follows for the continuous world: see ``simulate``.
+        values in [0, 1]). The statement does not extend to the continuous world: see ``simulate``.
 
         Args:
-            pairs: how many pairs are sampled.
-            reachable: a number of states that no pair's true outcomes exceed, known beforehand;
+            pairs: number of sampled pairs.
+            reachable: upper bound of the number of any pair's true successors, known beforehand;
                 those seen in the samples may be too few, the number of states is always safe.
             confidence: of the statement.
 
         Raises:
-            ModelError: a number that cannot be.
+            ModelError: a number out of range.
         """
         if pairs < 1 or reachable < 1 or not 0.0 < confidence < 1.0:
             raise ModelError("deviation needs pairs and reachable >= 1 and 0 < confidence < 1")
@@ -173,7 +173,7 @@ class Samples:
 
 
 class Outcomes(NamedTuple):
-    """The outcomes of some pairs; within a pair the successors are distinct and ascend."""
+    """The outcomes of some pairs; the successors of a pair are distinct and ascend."""
 
     outcome_offsets: IntArray  # [pairs + 1]
     successors: IntArray  # [outcomes]
@@ -181,7 +181,7 @@ class Outcomes(NamedTuple):
     costs: FloatArray  # [outcomes], or [] for one number
 
     def rows(self, wanted: IntArray) -> Outcomes:
-        """Rows of discretised outcomes with these numbers, one after the other."""
+        """Return the discretised outcomes of the pairs with these positions, in their order."""
         places, lengths = entries_of(self.outcome_offsets, wanted)
         costs = self.costs[places] if self.costs.ndim else self.costs
         return Outcomes(
@@ -193,8 +193,8 @@ def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArr
     """Count the outcomes of trials, to discretise a pair.
 
     Args:
-        states: where they lead, [pairs, trials].
-        weights: of the trials, [trials]; None: all the same, and the counts are exact.
+        states: successor in each trial, [pairs, trials].
+        weights: of the trials, [trials]; None: all equal, and the counts are exact.
         costs: a number, [pairs, 1] or [pairs, trials]; averaged over the trials of an outcome.
     """
     varies = costs.ndim == 2 and costs.shape[1] > 1
@@ -202,7 +202,7 @@ def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArr
     share = np.full(n_trials, 1.0) if weights is None else weights
     if are_counted:
         ordered = np.sort(states, axis=1)
-    else:  # the trial's number goes along in the lower digits
+    else:  # the trial's number is stored in the lower digits
         packed = states.astype(np.int64) * n_trials + np.arange(n_trials)
         packed.sort(axis=1)
         ordered = packed // n_trials
@@ -217,7 +217,7 @@ def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArr
     if varies:
         each = np.take_along_axis(costs, trial, axis=1).ravel()
         low, high = np.minimum.reduceat(each, firsts), np.maximum.reduceat(each, firsts)
-        # equal costs stay what they are to the last bit: criteria that add up costs rely on it
+        # equal costs stay exact to the last bit: criteria that add up costs rely on it
         paid = np.clip(np.add.reduceat(taken * each, firsts) / mass, low, high)
     elif costs.ndim == 2:
         paid = np.repeat(costs[:, 0], lengths)
@@ -226,7 +226,7 @@ def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArr
 
 
 def _joined(parts: list[Outcomes]) -> Outcomes:
-    """Rows of discretised pairs one part after another; a cost that all share stays one number."""
+    """Return the discretised outcomes of several blocks of pairs; equal costs stay a number."""
     costs = [rows.costs for rows in parts] or [np.asarray(0.0)]
     if any(each.ndim or each != costs[0] for each in costs):
         costs = [np.broadcast_to(rows.costs, rows.successors.shape) for rows in parts]
@@ -243,12 +243,12 @@ def _joined(parts: list[Outcomes]) -> Outcomes:
 
 
 TRIALS: Final = 1 << 19
-"""Trials that are worked on at a time: scratch arrays of some tens of megabytes."""
+"""Number of trials processed at a time: scratch arrays of some tens of megabytes."""
 
 MIDPOINTS: Final = Quadrature()
 
 _SPREAD: Final = 4
-"""Numbers of kinds for each pair, from which they are numbered anew."""
+"""Greatest number of a kind, per pair, before kinds are renumbered."""
 
 _BUILDING = logging.getLogger("ssp_lp.building")
 
@@ -260,24 +260,25 @@ def discretise(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> SSP:
-    """Discretise a continuous world: a finite model whose states are its grid's cells.
+    """Discretise a continuous world: a finite model whose states are the grid's cells.
 
-    In the model each step begins at a point uniform in its cell, whatever came before. The world
-    remembers where in the cell it was: nothing certified of the model is certain there. Play the
-    policy in the world (:class:`.WorldSimulator`), and read the exact interval of its failures.
+    In the model each step begins at a point uniform in its cell, independently of the past. The
+    world has a definite point in the cell: no certificate of the model holds in the world. Play the
+    policy in the world (:class:`.WorldSimulator`) to obtain an exact interval of its failure
+    probability.
 
     Args:
         world: the step function and the grid.
         points: a :class:`Quadrature`, or :class:`Samples`.
-        progress: called with the number of pairs worked out and their total.
+        progress: called with the number of finished pairs and the total.
 
     Returns:
         The model. Its states are the cells 0, 1, ..., as ``world.grid.cell_of`` numbers them, then
-        the goal, then the dead-ends, which stay where they are and bear their labels. Outcomes of a
-        pair that share a successor are one, with the mean of their costs.
+        the goal, then the dead-ends, which are absorbing and bear their labels. Outcomes of a pair
+        with the same successor are merged, with the mean of their costs.
 
     Raises:
-        ModelError: the step function's answer is of a wrong form, or it leaves the box.
+        ModelError: the step function returns a value of a wrong form, or leaves the box.
     """
     actions, outcomes = discretised_rows(world, points, 0, world.n_states, progress=progress)
     model = SSP.from_arrays(
@@ -303,20 +304,20 @@ def discretised_rows(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[IntArray, Outcomes]:
-    """Rows of some states of a discretised world, those of :func:`discretise`'s model.
+    """Return the outcomes of some states of a discretised world, as in :func:`discretise`'s model.
 
-    With a quadrature they are the same whatever range they are asked for in; where pairs are said
-    to be alike, one of those in the range is worked out for all of these.
+    With a quadrature they do not depend on the requested range; if ``alike`` groups pairs, one pair
+    of each group in the range is computed for all of them.
 
     Args:
         world: the step function and the grid.
         points: as :func:`discretise` takes them.
-        first: number of the first of the states.
-        end: number of the state behind the last of them.
-        progress: called with the number of pairs worked out and their total.
+        first: number of the first state.
+        end: number after that of the last state.
+        progress: called with the number of finished pairs and the total.
 
     Returns:
-        How many actions each state has, [some states], and the outcomes of their pairs.
+        Number of actions of each state, [some states], and the outcomes of their pairs.
 
     Raises:
         ModelError: as :func:`discretise` does.
@@ -335,7 +336,7 @@ def discretised_rows(
         actions = np.bincount(pairs // n_actions - begin, minlength=behind - begin)
     parts = _rows_of_pairs(world, trials, pairs, progress)
 
-    # the ends: nothing is done at the goal, dead-ends stay where they are
+    # at the ends: the goal has no actions, dead-ends are absorbing
     goal, ends = world.end_state("goal"), np.arange(max(first, n_cells), max(end, n_cells))
     dead_ends = list(world.dead_ends.values())
     for state in ends[ends > goal].tolist():
@@ -350,7 +351,7 @@ def _rows_of_pairs(
     pairs: IntArray,
     progress: Callable[[int, int], None] | None,
 ) -> list[Outcomes]:
-    """Discretised outcomes of pairs in increasing order, in parts; of those that are alike once."""
+    """Return the outcomes of pairs in increasing order, in blocks; a group of equals only once."""
     distinct, row_of_pair = _distinct_pairs(world, pairs)
     parts, size = list[Outcomes](), max(1, TRIALS // math.prod(trials.shape))
     for begin in range(0, len(distinct), size):
@@ -368,13 +369,13 @@ def _rows_of_pairs(
 class _Tried(NamedTuple):
     """Outcomes of one action's trials."""
 
-    rows: IntArray  # [cells] which of the pairs
+    rows: IntArray  # [cells] positions of the pairs
     states: list[IntArray]  # [trials, cells] each; several where edges are split
     cost: FloatArray  # [trials or 1, cells or 1]
 
 
 def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Outcomes:
-    """Discretised outcomes of some pairs, in increasing order."""
+    """Return the outcomes of some discretised pairs, in increasing order."""
     cells, action = np.divmod(pairs, len(world.actions))
     tried = []
     for number in np.unique(action).tolist():
@@ -399,7 +400,7 @@ def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -
             states[part.rows, side] = part.states[side % len(part.states)].T
     weights = None if trials.weights is None else np.tile(trials.weights, sides)
 
-    # costs: a number, [pairs, 1], or [pairs, trials] where they differ
+    # costs: a number, [pairs, 1], or [pairs, trials] if they differ
     costs = np.asarray(tried[0].cost.flat[0])
     if any(part.cost.size > 1 or part.cost.flat[0] != costs for part in tried):
         width = max(len(part.cost) for part in tried)
@@ -411,9 +412,9 @@ def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -
 
 
 def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, IntArray | None]:
-    """Those of some discretised pairs with different outcomes, and each one's place among them.
+    """Return one discretised pair of each group of equals, and each pair's position among them.
 
-    All of them and None where nothing is known of pairs that are alike.
+    All pairs and None if the world has no function ``alike``.
     """
     if world.alike is None or not len(pairs):
         return pairs, None
@@ -446,12 +447,12 @@ def _repeated_rows(
     row_of_pair: IntArray,
     most_checks: int = 30,
 ) -> Outcomes:
-    """The rows of discretised pairs, from those of the distinct ones.
+    """Return the outcomes of discretised pairs from those of the distinct pairs.
 
-    Some of those that are said to be alike are worked out once more.
+    Some pairs of groups of equals are recomputed as a check.
 
     Raises:
-        ModelError: a pair that is worked out once more has other outcomes.
+        ModelError: a recomputed pair has other outcomes.
     """
     repeated = np.flatnonzero(distinct[row_of_pair] != pairs)
     checks = min(most_checks, len(repeated)) if trials.repeatable else 0
@@ -464,7 +465,7 @@ def _repeated_rows(
         ):
             cell, action = divmod(int(pairs[k]), len(world.actions))
             raise ModelError(
-                f"alike says that action {world.actions[action]!r} in cell {cell} has the outcomes "
-                "of another pair; it has others"
+                f"alike says that action {world.actions[action]!r} in cell {cell} has the "
+                "outcomes of another pair: correct alike, they differ"
             )
     return found.rows(row_of_pair)

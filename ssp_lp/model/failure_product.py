@@ -1,10 +1,10 @@
-"""The product of a model with the label of failing: what a run does after the goal is lost.
+"""The product of a model with the label of failing: a run goes on after the goal is lost.
 
 In the paper's augmented MDP (section 3.1.2) the states are (x, s) and (x, f), and the label f ends
-no run: it goes on, without cost, to its true end. So does this product where a problem counts what
-may come then: a state may be (x, "before failing") or (x, "after failing"), and failing is part of
-a step. In a dead-end every step takes the label; in an attention state the policy chooses between
-its actions and the same actions with giving up, as far as these avoid the goal.
+no run: it goes on, without cost, to its true end. This product does the same for a problem that
+counts quantities after failing: a state may be (x, "before failing") or (x, "after failing"), and
+failing is part of a step. In a dead-end every step takes the label; in an attention state the
+policy chooses between its actions and the same actions with giving up, if these avoid the goal.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from ssp_lp.model.product import ProductSSP, ProductStates, copied_parts
 from ssp_lp.model.ssp import SSP
 
 BEFORE: Final = "before failing"
-"""The memory of a run that has not failed: the paper's label s."""
+"""Memory of a run that has not failed: the paper's label s."""
 
 AFTER: Final = "after failing"
-"""The memory of a run that has failed, and goes on: the paper's label f."""
+"""Memory of a run that has failed, and goes on: the paper's label f."""
 
 GIVING_UP: Final = "give up"
 """First part of the name of an action that is taken with giving up: ("give up", action)."""
@@ -41,20 +41,20 @@ GIVING_UP: Final = "give up"
 class FailureSSP(ProductSSP):
     """A model whose states are (state, label of failing); see :func:`label_failing`.
 
-    State k of the model is state k here before failing, and ``n + k`` after it.
+    State k of the model is state k here before failing, and state ``n + k`` after it.
     """
 
     open_pairs: BoolArray = field(kw_only=True)  # [original pairs] that may be taken after failing
     stops: BoolArray = field(kw_only=True)  # [states] where giving up ends the run
-    charged: BoolArray = field(kw_only=True)  # [original pairs] the least of which failing costs
+    charged: BoolArray = field(kw_only=True)  # [original pairs]; failing costs the least of them
     free_pairs: BoolArray = field(kw_only=True)  # [2, original pairs] before and after failing
     charges: bool = field(kw_only=True, default=False)  # whether failing costs anything
     original_pair: IntArray = field(kw_only=True)  # [pairs]
-    fails: BoolArray = field(kw_only=True)  # [pairs] by which the label is taken
+    fails: BoolArray = field(kw_only=True)  # [pairs] that take the label
 
     @property
     def failure_label(self) -> FailureSSP:
-        """The product with the label of failing, by itself: its states bear the label."""
+        """The product with the label of failing, alone: its states bear the label."""
         return self
 
     @property
@@ -64,7 +64,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Outcome of the original of each labelled one, [outcomes]."""
+        """Outcome of the original of each outcome of the failure product, [outcomes]."""
         return np.asarray(entries_of(self.original.outcome_offsets, self.original_pair)[0])
 
     @cached_property
@@ -93,7 +93,7 @@ class FailureSSP(ProductSSP):
     def stop_marks(self) -> IntArray:
         """Number of the way to end of a run that stops in a state of the failure product, [states].
 
-        A dead-end's own, and else that of having given up (``graph.end_marks``).
+        A dead-end's own number, otherwise that of having given up (``graph.end_marks``).
         """
         marks, gave_up = end_marks(self.original), len(self.state_labels) + 2
         return np.tile(np.where(dead_ends(self.original), marks, gave_up), 2)
@@ -105,15 +105,15 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def priced(self) -> BoolArray:
-        """Pairs of the failure product the least of which giving up is charged, [pairs]."""
+        """Pairs of the failure product of which giving up costs the least one, [pairs]."""
         before = ~np.append(self.is_open, np.ones(self.n_original, dtype=np.bool_))
         return self.fails | (before[self.pair_state] & self.charged[self.original_pair])
 
     @cached_property
     def finite(self) -> tuple[BoolArray, BoolArray]:
-        """States with a policy of finite count after failing, and the pairs that keep among them.
+        """States with a policy of finite count after failing, and the pairs that stay among them.
 
-        After failing there may be no end any more, though what is counted goes on being counted.
+        After failing a run may never end, while limited quantities go on being counted.
 
         Returns:
             [states] and [pairs].
@@ -124,7 +124,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def _staying(self) -> BoolArray:
-        """Pairs of the failure product that stay for ever without adding to a finite count."""
+        """Pairs of the failure product that may stay for ever with a finite count."""
         going = ~self.ended & ~self.goal_mask
         failed = self.fails | self.after[self.pair_state]
         free = self.free_pairs[failed.astype(np.int64), self.original_pair]
@@ -136,9 +136,9 @@ class FailureSSP(ProductSSP):
         return self.original_pair[self._staying & self.after[self.pair_state]]
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Pairs of the failure product that are the original's, -1 where there is none, [entries].
+        """Return the failure product's pairs for pairs of the original, -1 if none, [entries].
 
-        Before failing a live state's own, without giving up.
+        Before failing, these are the pairs of live states without giving up.
 
         Args:
             states: of this model, [entries].
@@ -148,7 +148,7 @@ class FailureSSP(ProductSSP):
         return np.asarray(self._places[self.after[states] + 2 * taking, pairs])
 
     def giving_up_by(self, pairs: IntArray) -> IntArray:
-        """Pairs of the failure product that take the label with the original's, -1: none."""
+        """Return the failure product's pairs that fail by these pairs of the original, or -1."""
         return np.asarray(self._places[2, pairs])
 
     @cached_property
@@ -160,19 +160,19 @@ class FailureSSP(ProductSSP):
         return places
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """States of the failure product after steps of these pairs, [episodes]."""
+        """Return the states of the failure product after steps of these pairs, [episodes]."""
         failed = self.fails[pairs] | self.after[self.pair_state[pairs]]
         return np.asarray(successors + self.n_original * failed)
 
     def spread_costs(
         self, costs: FloatArray, charge: FloatArray, *, through: bool = False
     ) -> FloatArray:
-        """Costs of the original as counted in the failure product, [outcomes].
+        """Return the costs of the original as counted in the failure product, [outcomes].
 
         Args:
             costs: [original outcomes].
-            charge: what failing costs in each state, where a run goes on, [original states].
-            through: count all costs as they are, also after failing, and no charge.
+            charge: cost of failing in each state in which a run goes on, [original states].
+            through: count all costs unchanged, also after failing, without a charge.
         """
         counted = costs[self.original_outcome]
         if through:
@@ -190,14 +190,15 @@ def label_failing(
 
     Args:
         model: the model.
-        open_pairs: that may be taken after failing, of dead-ends and attention states, [pairs].
+        open_pairs: pairs of dead-ends and attention states that may be taken after failing,
+            [pairs].
         stops: where giving up ends the run, [states].
-        charged: pairs the least of which failing costs in a state, [pairs].
-        free_pairs: that add nothing to what must stay finite, before and after failing, [2, pairs].
+        charged: pairs of which failing costs the least one of a state, [pairs].
+        free_pairs: pairs that add nothing to finite counts, before and after failing, [2, pairs].
     """
     n, state = model.n_states, model.pair_state
     is_open = np.bincount(state[open_pairs], minlength=n) > 0
-    taking = np.flatnonzero(open_pairs)  # with the label, first in their states: equals give up
+    taking = np.flatnonzero(open_pairs)  # with the label, first in their states: ties give up
     plain = np.flatnonzero(~(dead_ends(model) & is_open)[state])
     before = np.concatenate([taking, plain])
     before_fails = np.arange(before.size) < taking.size
@@ -239,10 +240,10 @@ def label_failing(
 
 
 def check_label(model: SSP) -> FailureSSP:
-    """The model, if it is a product with the label of failing.
+    """Return the model if it is a product with the label of failing.
 
     Raises:
-        ModelError: they do not.
+        ModelError: it is not.
     """
     if model.failure_label is None:
         raise ModelError("the policy does not go on after failing: its problem counts nothing then")

@@ -1,6 +1,6 @@
-"""The graph of a model or a process: who leads where, its components, what may reach the goal.
+"""The graph of a model or a process: successors, components, and reachability of the goal.
 
-Facts about a model are worked out once and kept with it, for every problem on it.
+Facts about a model are computed once and stored with it, for every problem on it.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ if TYPE_CHECKING:
 
 Fact = TypeVar("Fact")
 
-_TURNS = 1_000  # of a search, between two looks at the clock
-_FAR = np.iinfo(np.int32).max - 1  # steps: nowhere
-_FEW, _FEW_ENTRIES = 32, 128  # states, and steps into them, that are faster one after the other
-_MANY_ENTRIES = 20  # of so many steps one, from which on looking at all of them is faster
+_TURNS = 1_000  # of a search, between two checks of the time
+_FAR = np.iinfo(np.int32).max - 1  # distance of what cannot be reached
+_FEW, _FEW_ENTRIES = 32, 128  # states, and their predecessors, that a loop handles faster
+_MANY_ENTRIES = 20  # one in so many steps: from this share on, looking at all of them is faster
 
 
 @dataclass(frozen=True, eq=False)
 class _Predecessors:
     """The pairs that lead to each state with positive probability, ascending.
 
-    A pair is listed once for each of its outcomes that goes there.
+    A pair is listed once for each of its outcomes with that successor.
     """
 
     offsets: IntArray  # [states + 1] entries of state s: offsets[s] : offsets[s + 1]
@@ -55,7 +55,7 @@ class _Predecessors:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Graph:
-    """A graph of pairs and the states that they lead to: of a model, or of a process."""
+    """A graph of pairs and their successors, of a model or of a process."""
 
     pair_offsets: IntArray  # [states + 1] pairs of state s: pair_offsets[s] : pair_offsets[s + 1]
     outcome_offsets: IntArray  # [pairs + 1] outcomes of pair k, likewise
@@ -79,12 +79,12 @@ class Graph:
 
     @cached_property
     def pair_state(self) -> IntArray:
-        """The state of each pair of the graph, [pairs]."""
+        """State of each pair of the graph, [pairs]."""
         return read_only(segment_ids(self.pair_offsets))
 
     @cached_property
     def predecessors(self) -> _Predecessors:
-        """Graph turned round: the pairs that may lead to each state; found at first use, kept."""
+        """Reversed graph: the pairs that may lead to each state; computed on first use."""
         ends, columns = possible_steps(self.outcome_offsets, self.successors, self.probabilities)
         present, shape = np.ones(columns.size, dtype=np.bool_), (self.n_pairs, self.n_states)
         ends = narrow(ends)
@@ -99,13 +99,13 @@ def possible_steps(
     probabilities: FloatArray,
     chosen: BoolArray | None = None,
 ) -> tuple[IntArray, IntArray]:
-    """Edges of the model's graph: the outcomes of positive probability.
+    """Return the edges of the model's graph: the outcomes of positive probability.
 
     Args:
         outcome_offsets: [pairs + 1].
         successors: [outcomes].
         probabilities: [outcomes].
-        chosen: [pairs]; all if left out.
+        chosen: [pairs]; None: all.
 
     Returns:
         For each pair the end of its entries, after a leading 0, [pairs + 1]; and the successors,
@@ -121,7 +121,7 @@ def possible_steps(
 
 
 def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
-    """Keep a fact about a model's graph, an array or a tuple of arrays, read-only."""
+    """Decorate a function of a model so that its arrays are computed once, read-only."""
 
     @wraps(find)
     def _fact(model: SSP) -> Fact:
@@ -141,21 +141,21 @@ def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
 
 @kept
 def hopeless_states(model: SSP) -> BoolArray:
-    """States from which no policy reaches the goal, X_{d,all} of section 2.3, [states]."""
+    """Return the states from which no policy reaches the goal, X_{d,all}, [states]."""
     return ~reaching_states(model, model.goal_mask)
 
 
 def dead_ends(model: SSP) -> BoolArray:
-    """Dead-ends by the graph, where a run is over without the goal: hopeless states, [states].
+    """Return the dead-ends, where a run is over without the goal: hopeless states, [states].
 
-    Where what comes after failing counts, these are only the ones in which it ends.
+    If quantities after failing count, dead-ends are only those hopeless states that end a run.
     """
     label = model.failure_label
     return hopeless_states(model) if label is None else label.ended
 
 
 def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
-    """States from which some policy may come to one of the given states, these included, [states].
+    """Return the states from which some policy may reach one of the given states, [states].
 
     Args:
         ends: [states].
@@ -166,11 +166,11 @@ def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
 
 @kept
 def attention_states(model: SSP) -> BoolArray:
-    """States from which some policy surely avoids the goal, X_{d,or} of section 2.3, [states].
+    """Return the states from which some policy surely avoids the goal, X_{d,or}, [states].
 
     The greatest set of non-goal states each of which has no action or an action whose successors
-    all lie in the set; dead-ends are among them. Computed through its complement, the least set
-    that holds the goal and every state all of whose actions may lead into it.
+    all lie in the set (section 2.3); it contains the dead-ends. Computed as the complement of the
+    least set that contains the goal and every state all of whose actions may lead into the set.
     """
     open_pairs = np.ones(model.n_pairs, dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets)
@@ -181,14 +181,14 @@ def attention_states(model: SSP) -> BoolArray:
 
 @kept
 def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
-    """States from which some policy reaches the goal with probability one, and how.
+    """Return the states from which some policy reaches the goal with probability one, and a policy.
 
     The greatest set of states each of which can reach the goal by pairs that never leave the set.
-    In rounds: what cannot reach the goal is dropped, with all pairs that may lead there.
+    In rounds, states that cannot reach the goal are dropped, with all pairs that may lead to them.
 
     Returns:
         The states, goals included, [states]; the pairs that stay among them, [pairs]; and for each
-        of the states such a pair by which it comes nearer to the goal, -1 elsewhere, [states].
+        of the states such a pair that may lead nearer to the goal, -1 elsewhere, [states].
     """
     return surely_ending(model, model.goal_mask, goal_pairs(model))
 
@@ -196,15 +196,15 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
 def surely_ending(
     model: Graph, ends: BoolArray, leading: BoolArray
 ) -> tuple[BoolArray, BoolArray, IntArray]:
-    """States from which some policy ends surely, by the graph, as :func:`surely_reaching`.
+    """Return the states from which some policy surely ends, as :func:`surely_reaching` does.
 
     Args:
         model: the graph.
-        ends: [states].
-        leading: pairs that may lead to one of them, [pairs].
+        ends: states in which a run ends, [states].
+        leading: pairs that may lead to one of ``ends``, [pairs].
     """
     open_pairs = np.ones(len(model.pair_state), dtype=np.bool_)
-    open_counts = np.diff(model.pair_offsets) + ends  # what ends is never closed
+    open_counts = np.diff(model.pair_offsets) + ends  # so that ``ends`` are never closed
     lost = open_counts == 0
     while True:
         drain(model, open_pairs, open_counts, lost.nonzero()[0])
@@ -219,14 +219,14 @@ def surely_ending(
 
 @kept
 def goal_pairs(model: SSP) -> BoolArray:
-    """Pairs of the graph that may lead to a goal, [pairs]."""
+    """Return the pairs of the graph that may lead to a goal, [pairs]."""
     before, leading = model.predecessors, np.zeros(model.n_pairs, dtype=np.bool_)
     leading[before.pairs[entries_of(before.offsets, model.goal_mask.nonzero()[0])[0]]] = True
     return leading
 
 
 def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
-    """Pairs of the graph that may lead to one of the states, [pairs].
+    """Return the pairs of the graph that may lead to one of the states, [pairs].
 
     Args:
         states: [states].
@@ -239,7 +239,7 @@ def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
 
 
 def _with_outcomes(model: Graph, marked: BoolArray) -> BoolArray:
-    """Pairs of the graph with a marked outcome of positive probability, [pairs].
+    """Return the pairs of the graph with a marked outcome of positive probability, [pairs].
 
     Args:
         model: the graph.
@@ -256,7 +256,7 @@ def _with_outcomes(model: Graph, marked: BoolArray) -> BoolArray:
 
 
 def attention_pairs(model: SSP, attention: BoolArray) -> BoolArray:
-    """Pairs of attention states whose successors are all attention states, [pairs].
+    """Return the pairs of attention states whose successors are all attention states, [pairs].
 
     Args:
         attention: the result of :func:`attention_states`, [states].
@@ -265,12 +265,12 @@ def attention_pairs(model: SSP, attention: BoolArray) -> BoolArray:
 
 
 def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> BoolArray:
-    """States reached along edges by scipy, from a node added and linked to the start, [states].
+    """Return the states reachable from the start along edges, by scipy, [states].
 
     Args:
-        columns: where the edges lead, [edges].
+        columns: target of each edge, [edges].
         offsets: of each state's edges, [states + 1].
-        start: states to begin with.
+        start: states in which the search begins; a node added to the graph is linked to them.
     """
     n_states = len(offsets) - 1
     linked = np.concatenate([columns, np.asarray(start, dtype=columns.dtype)])
@@ -283,7 +283,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 
 
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
-    """The model's graph for scipy's search of reachable states; weights take no room."""
+    """Return the model's graph for scipy's search of reachable states, with weights of no size."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape, offsets = (len(offsets) - 1, len(offsets) - 1), narrow(offsets)
     return csr_of(weights, columns.astype(offsets.dtype, copy=False), offsets, shape)
@@ -291,14 +291,14 @@ def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
 
 @kept
 def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
-    """Pair of each state nearer to the goal in the graph, and in how many steps at least.
+    """Return the pair of each state that leads nearer to the goal, and the least number of steps.
 
     Args:
         model: the model.
 
     Returns:
-        The pairs, -1 at goals and where none can be reached, and the steps to the goal: 0 there,
-        [states] each.
+        The pairs, -1 at goals and where no goal can be reached, and the numbers of steps to the
+        goal, [states] each.
     """
     distance = np.zeros(model.n_states, dtype=np.int32)
     choice = nearer_pairs(model, goal_pairs(model), distance=distance)
@@ -311,25 +311,24 @@ def nearer_pairs(
     usable: BoolArray | None = None,
     distance: IntArray | None = None,
 ) -> IntArray:
-    """Pair of each state that comes nearer to a leaving pair in the graph.
+    """Return the pair of each state that may lead nearer to a leaving pair in the graph.
 
-    A state with a leaving pair of its own takes that. Among pairs that come equally near, the
-    first is taken.
+    A state with a leaving pair takes that. Of pairs that lead equally near, the first is taken.
 
     Args:
         graph: of a model, or of a process.
-        leaving: [pairs].
-        usable: pairs that may be taken, leaving ones included, [pairs]; all if left out.
-        distance: zeros, written: steps before a leaving pair is taken, [states] int32.
+        leaving: mask of the leaving pairs, [pairs].
+        usable: pairs that may be taken, leaving ones included, [pairs]; None: all.
+        distance: zeros, overwritten: steps before a leaving pair is taken, [states] int32.
 
     Returns:
-        [states] the pair taken; -1 where no leaving pair can be reached.
+        The pair taken in each state; -1 where no leaving pair can be reached, [states].
     """
     before, pair_state, n = graph.predecessors, graph.pair_state, graph.n_states
     choice = np.full(n, -1, dtype=np.int64)
     useful: IntArray = (leaving if usable is None else leaving & usable).nonzero()[0]
-    # by the distance of each state from a node added behind all ends, to which pairs that may not
-    # be taken lead back: scipy's search says by which edge, and edges are followed two by two
+    # distances from a node added behind all ends, to which unusable pairs lead back: scipy's
+    # search gives the edge by which each state is reached, and edges are followed two by two
     home = pair_state if usable is None else np.where(usable, pair_state, n)
     sources = np.concatenate([home[before.pairs], pair_state[useful]])
     links = edges(sources, np.append(before.offsets, sources.size))
@@ -363,7 +362,7 @@ def drain(
     Args:
         open_pairs: [pairs].
         open_counts: the number of open pairs of each state, [states].
-        closed_states: the states to begin with, which have no open pairs.
+        closed_states: first closed states, which have no open pairs.
     """
     if not closed_states.size:
         return
@@ -387,7 +386,7 @@ def drain(
 def _drain_one_by_one(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> IntArray:
-    """Drain the graph from a few closed states, until they are many; those that are left."""
+    """Drain the graph in a loop while few states close; return those that are left."""
     before, waiting = model.predecessors, deque(closed_states.tolist())
     is_open, counts = open_pairs.data, open_counts.data  # faster entry by entry
     home_of, offsets = model.pair_state.data, before.offsets.data
@@ -410,7 +409,7 @@ def _drain_one_by_one(
 def close_pairs(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, pairs: IntArray
 ) -> IntArray:
-    """Close open pairs of the graph, ascending, in place; the states with none left open."""
+    """Close open pairs of the graph in place; return the states with none left open."""
     open_pairs[pairs] = False
     state = model.pair_state[pairs]
     np.subtract.at(open_counts, state, 1)
@@ -419,7 +418,7 @@ def close_pairs(
 
 
 def end_marks(model: SSP) -> IntArray:
-    """Number of the way to end in each state by the graph, -1 where it goes on, [states].
+    """Return the number of each state's way to end by the graph, -1 if a run goes on, [states].
 
     0 is the goal, 1 .. k the model's labels in their order (at dead-ends that bear them; the
     first label counts), k + 1 a dead-end without a label; k + 2 having given up before.
@@ -435,9 +434,9 @@ def end_marks(model: SSP) -> IntArray:
 
 
 def stop_marks(model: SSP) -> IntArray:
-    """Number of the way to end of a run that stops in each state, by the graph, [states].
+    """Return the number of the way to end of a run that stops in each state, [states].
 
-    As of :func:`end_marks`; k + 2 is having given up.
+    Numbers as in :func:`end_marks`; k + 2 is having given up.
     """
     if model.failure_label is not None:
         return model.failure_label.stop_marks
@@ -445,25 +444,26 @@ def stop_marks(model: SSP) -> IntArray:
 
 
 def dead_end_labels(model: SSP) -> frozenset[Hashable]:
-    """Labels of the dead-ends X_{d,all} by the graph: no policy reaches the goal."""
+    """Return the labels of the dead-ends X_{d,all} by the graph: no policy reaches the goal."""
     return frozenset(model.states[i] for i in dead_ends(model).nonzero()[0].tolist())
 
 
 def attention_labels(model: SSP) -> frozenset[Hashable]:
-    """Labels of the attention states X_{d,or} by the graph: some policy avoids the goal."""
+    """Return the labels of the attention states X_{d,or}: some policy surely avoids the goal."""
     return frozenset(model.states[i] for i in attention_states(model).nonzero()[0].tolist())
 
 
 def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArray]:
-    """Maximal end components of the model's graph, restricted to the allowed pairs.
+    """Return the maximal end components of the model's graph, restricted to the allowed pairs.
 
     An end component is a set of states and of pairs whose successors all stay in the set, that is
-    strongly connected by these pairs. In rounds: what cannot stay among the allowed pairs is
-    dropped, then what leaves its strong component, and components that lost a pair come again.
+    strongly connected by these pairs. In rounds, states and pairs that cannot stay among the
+    allowed pairs are dropped, then pairs that leave their strong component; components that lost
+    a pair are examined again.
 
     Args:
         model: the model, or a process.
-        allowed: pairs that may be part of a component, from which nothing ends, [pairs].
+        allowed: pairs that may be part of a component, in which no run ends, [pairs].
 
     Returns:
         The component of each state, numbered from 0 in the order of their first states, and -1

@@ -1,8 +1,9 @@
-"""The explored part of an implicit model: what is known of its states, and as a model to be solved.
+"""The explored part of an implicit model: the states found so far, and a solvable model of them.
 
 Each state of the fringe (found, but not expanded) has two ways out. "Arrive" reaches the goal with
-1 - failure bound at the cost bound, "fail" is lost at no cost. No real continuation does better
-than a mixture of the two, so a bound of the explored part is one of the whole model.
+probability 1 - failure bound at the cost bound, "fail" is lost at no cost. No real continuation
+does better than a mixture of the two, so a bound of the explored part is a bound of the whole
+model.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class ExploredSSP(SSP):
     numbers: IntArray = field(kw_only=True, default=_NOTHING)
     """States in the order of finding, [expanded states, fringe, goals]."""
     may_end: BoolArray = field(kw_only=True, default=_NOTHING)
-    """Expanded states with a way "fail" more: the goal is reached through the fringe only."""
+    """Expanded states with a further way "fail": they reach the goal through the fringe only."""
     least_cost: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] cost bounds
     least_failure: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] failure bounds
 
@@ -61,11 +62,11 @@ class ExploredSSP(SSP):
         return np.asarray((place >= self.n_expanded) & (place < self.n_live))
 
     def hint(self, state: Hashable) -> str:
-        """Clause for errors: a state that is not here may not have been explored."""
+        """Return a clause for errors: an unknown state may not have been explored."""
         return f", or was not explored{super().hint(state)}"
 
     def explored(self) -> SSP:
-        """The explored part as an ordinary model: states of the fringe are dead-ends.
+        """Return the explored part as an ordinary model: states of the fringe are dead-ends.
 
         They bear the label "unexplored"; actions are those of the whole model.
         """
@@ -91,10 +92,10 @@ class ExploredSSP(SSP):
 
 
 class Exploration:
-    """The states of an implicit model that have been found, in lists that grow. Mutable.
+    """The states of an implicit model found so far, in lists that grow. Mutable.
 
-    States are numbered in the order in which they are found; the flat lists of the model hold
-    those that were expanded, in that order.
+    States are numbered in the order in which they are found; the flat lists of the model contain
+    the expanded states, in the order of their expansion.
     """
 
     def __init__(self, whole: ImplicitSSP, named: Iterable[Hashable]) -> None:
@@ -106,13 +107,13 @@ class Exploration:
         """
         self.whole = whole
         self.flat = FlatModel([], whole.cost)
-        self.expanded: list[int] = []  # in the order of expanding
+        self.expanded: list[int] = []  # in the order of expansion
         self.is_goal: list[bool] = []  # and of each state found:
         self.is_expanded: list[bool] = []
         self.cost_bounds: list[float] = []
         self.named_bounds: list[Mapping[str, float]] = []
         self.failure_bounds: list[float] = []
-        self.paid: list[float] = []  # on the way on which it was found
+        self.paid: list[float] = []  # on the path by which it was found
         self.labelled: dict[str, list[int]] = {name: [] for name in whole.labels}
         self.queue: list[tuple[float, int]] = []  # of states by paid + cost bound
         for state in named:
@@ -120,11 +121,11 @@ class Exploration:
         self._look_at([0.0] * len(self.flat.states))
 
     def grow(self, wanted: Iterable[int], most: float) -> None:
-        """Expand some states, then those that look cheapest to come by, up to a number of states.
+        """Expand given states, then those of least cost paid plus cost bound, up to a number.
 
         Args:
             wanted: numbers of states.
-            most: of states that are expanded in the end, if there are so many.
+            most: number of expanded states at which to stop.
         """
         self._expand(wanted)
         while len(self.expanded) < most and self.queue:
@@ -135,7 +136,7 @@ class Exploration:
             self._expand(batch)
 
     def _expand(self, wanted: Iterable[int]) -> None:
-        """Expand states by number that are not expanded yet."""
+        """Expand the states with these numbers that are not expanded yet."""
         here = [k for k in dict.fromkeys(wanted) if not self.is_expanded[k]]
         if self.whole.is_vectorised and here:
             check_time()
@@ -150,31 +151,31 @@ class Exploration:
             self._price(known, begin, repeat(self.paid[number]))
 
     def _note(self, numbers: list[int]) -> None:
-        """Note that states have been expanded."""
+        """Record that states have been expanded."""
         self.expanded += numbers
         for number in numbers:
             self.is_expanded[number] = True
 
     def _price(self, known: int, begin: int, before: Iterable[float]) -> None:
-        """Look at the states that outcomes have found, by what was paid on the way to them.
+        """Inspect the states that new outcomes found, with the costs of the paths to them.
 
         Args:
-            known: number of states before.
-            begin: first of the new outcomes.
-            before: what was paid before each of these, [outcomes].
+            known: number of states found before.
+            begin: position of the first new outcome.
+            before: cost of the path to each new outcome's state, [outcomes].
         """
         if len(self.flat.states) == known:
             return
         targets, costs = self.flat.arrays["successors"], self.flat.arrays["costs"]
         paid, following = list[float](), known
         for target, cost, spent in zip(targets[begin:], costs[begin:], before, strict=False):
-            if target == following:  # states are numbered as outcomes name them
+            if target == following:  # states are numbered in the order of the outcomes
                 paid.append(spent + cost)
                 following += 1
         self._look_at(paid)
 
     def _look_at(self, paid: list[float]) -> None:
-        """Ask for goal, bounds and labels of the states found last; queue those to be expanded."""
+        """Compute goal, bounds and labels of the states found last; queue those to expand."""
         first, whole = len(self.is_goal), self.whole
         new = self.flat.states[first:]
         if not new:
@@ -212,7 +213,7 @@ class Exploration:
     def _each(
         self, told: Callable[[Any], Any] | None, states: list[Any], default: Any
     ) -> list[Any]:
-        """What a function says of each of some states."""
+        """Return the values of a function at states; ``default`` if there is no function."""
         if told is None:
             return [default] * len(states)
         if not self.whole.is_vectorised:
@@ -229,8 +230,8 @@ class Exploration:
         begin, n_outcomes = len(flat.arrays["costs"]), int(outcomes.sum())
         if actions.shape != states.shape or outcomes.shape != (int(actions.sum()),):
             raise ModelError(
-                f"successors of {len(states)} states must return so many numbers of actions, and a "
-                "number of outcomes for each action"
+                f"successors of {len(states)} states must return as many numbers of actions, and "
+                "a number of outcomes for each action"
             )
         ends, first = np.cumsum(actions), len(flat.arrays["actions"])
         flat.arrays["successors"] += map(flat.place_of, told["successors"].tolist())
@@ -247,12 +248,12 @@ class Exploration:
         self._price(known, begin, spent.tolist())
 
     def part(self, survival: float, may_end: bool, *, charged: bool) -> ExploredSSP:
-        """The explored part as a model.
+        """Return the explored part as a model.
 
         Args:
             survival: factor of every step, under a discount.
-            may_end: whether expanded states from which the goal is reached through the fringe only
-                may turn out to be dead-ends, where failing is free otherwise.
+            may_end: whether expanded states that reach the goal through the fringe only may turn
+                out to be dead-ends, in which failing is free unless ``charged``.
             charged: whether such a dead-end costs its cheapest action.
         """
         is_goal = np.array(self.is_goal, dtype=np.bool_)
@@ -308,7 +309,7 @@ class Exploration:
         return part
 
     def _own_ways(self, rows: IntArray) -> _Ways:
-        """The actions of the expanded states; ``rows`` are the states in the explored part."""
+        """Return the actions of the expanded states; ``rows``: positions in the explored part."""
         flat = self.flat.arrays
         counts, lengths = np.diff(flat["pair_offsets"]), np.diff(flat["outcome_offsets"])
         return _Ways(
@@ -323,7 +324,7 @@ class Exploration:
     def _ways_out(
         self, fringe: IntArray, n_expanded: int, survival: float, names: list[str]
     ) -> _Ways:
-        """The two ways out of each state of the fringe: "arrive" at its bounds, and "fail".
+        """Return the two ways out of each state of the fringe: "arrive" at its bounds, and "fail".
 
         Args:
             fringe: numbers of the states, which come after the expanded ones.
@@ -367,7 +368,7 @@ class _Ways(NamedTuple):
 
     @staticmethod
     def joined(blocks: Sequence[_Ways]) -> _Ways:
-        """All of some blocks, in the order of their states."""
+        """Return several blocks as one, in the order of their states."""
         owner, lengths, *flat = (
             np.concatenate(parts) for parts in list(zip(*blocks, strict=True))[:5]
         )
@@ -379,12 +380,12 @@ class _Ways(NamedTuple):
         return _Ways(owner[order], lengths[order], targets, chances, costs, labels)
 
     def doubtful(self, n_expanded: int, n_live: int, n_found: int, arriving: IntArray) -> BoolArray:
-        """Expanded states from which the goal is reached through the fringe only, [expanded].
+        """Return a mask of expanded states that reach the goal through the fringe only, [expanded].
 
         Args:
             n_expanded: number of expanded states.
-            n_live: of these and the fringe, which comes next.
-            n_found: of these and the goals, which come last.
+            n_live: number of these and of the fringe, which comes next.
+            n_found: number of these and of the goals, which come last.
             arriving: states of the fringe that may reach the goal, and the goals.
         """
         possible = np.flatnonzero(self.chances > 0.0)
@@ -398,7 +399,7 @@ class _Ways(NamedTuple):
         return hoped & ~known
 
     def least_costs(self, n_expanded: int) -> FloatArray:
-        """Expected cost of each expanded state's cheapest action, [expanded]."""
+        """Return the expected cost of each expanded state's cheapest action, [expanded]."""
         means = segment_sums(self.chances * self.costs[:, 0], offsets_of(self.lengths))
         counts = np.bincount(self.owner, minlength=n_expanded)
         return segment_minima(means, offsets_of(counts))

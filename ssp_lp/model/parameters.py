@@ -1,4 +1,4 @@
-"""Parameters of a model: named numbers of which probabilities and costs are affine expressions."""
+"""Parameters of a model: named numbers in the affine expressions of probabilities and costs."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from ssp_lp.errors import ModelError, in_short, is_number
 class Affine:
     """An affine expression of parameters: a constant and a slope for each parameter, by name."""
 
-    __array_ufunc__ = None  # numbers of numpy's go with it as others do
+    __array_ufunc__ = None  # numpy's numbers are operands like others
 
     def __init__(
         self, constant: float, slopes: Mapping[str, float], values: Mapping[str, float]
     ) -> None:
-        """State the expression, with the values of its parameters."""
+        """Create the expression, with the values of its parameters."""
         self.constant, self.slopes, self.values = constant, dict(slopes), dict(values)
 
     def __float__(self) -> float:
-        """The expression at the values of its parameters."""
+        """Return the value of the expression at its parameters' values."""
         terms = (slope * self.values[name] for name, slope in self.slopes.items())
         return float(self.constant + sum(terms))
 
     def __add__(self, other: Affine | float) -> Affine:
-        """The sum.
+        """Return the sum.
 
         Raises:
             ModelError: one parameter has two values, or the other summand is no number.
@@ -45,7 +45,7 @@ class Affine:
         return Affine(self.constant + other.constant, slopes, {**self.values, **other.values})
 
     def __mul__(self, factor: float) -> Affine:
-        """The multiple by a number."""
+        """Return the product with a number."""
         times = _factor(factor)
         slopes = {name: times * slope for name, slope in self.slopes.items()}
         return Affine(times * self.constant, slopes, self.values)
@@ -54,7 +54,7 @@ class Affine:
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: float) -> Affine:
-        """The quotient by a number."""
+        """Return the quotient by a number."""
         return self * (1.0 / _factor(divisor))
 
     def _refuse(self, other: object) -> NoReturn:
@@ -70,19 +70,19 @@ class Affine:
     __rtruediv__ = __pow__ = __rpow__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse
 
     def __neg__(self) -> Affine:
-        """The opposite."""
+        """Return the negative."""
         return self * -1.0
 
     def __sub__(self, other: Affine | float) -> Affine:
-        """The difference."""
+        """Return the difference."""
         return self + -other
 
     def __rsub__(self, other: float) -> Affine:
-        """The difference."""
+        """Return the difference."""
         return -self + other
 
     def __repr__(self) -> str:
-        """The expression as it would be typed."""
+        """Return the expression as it would be typed."""
         signs = {1.0: "", -1.0: "-"}
         terms = [signs.get(s, f"{s:g} * ") + name for name, s in self.slopes.items()]
         constant = [f"{self.constant:g}"] if self.constant or not terms else []
@@ -90,10 +90,10 @@ class Affine:
 
 
 class Parameter(Affine):
-    """A named number, of which probabilities and costs of a model may be affine expressions.
+    """A named number, on which probabilities and costs of a model may depend affinely.
 
     Args:
-        name: by which ``model.with_parameters`` and ``sweep`` change it.
+        name: name by which ``model.with_parameters`` and ``sweep`` change it.
         value: its value.
 
     Raises:
@@ -110,28 +110,28 @@ class Parameter(Affine):
     """
 
     def __init__(self, name: str, value: float) -> None:
-        """State the parameter."""
+        """Create the parameter."""
         if not (isinstance(name, str) and name.isidentifier()):
-            raise ModelError(f"the name of a parameter is a word such as 'p_crash', not {name!r}")
+            raise ModelError(f"a parameter's name must be a word such as 'p_crash', not {name!r}")
         if isinstance(value, bool) or not is_number(value):
             raise ModelError(f"the value of parameter {name!r} is no number: {in_short(value)}")
         super().__init__(0.0, {name: 1.0}, {name: float(value)})
 
 
 def _factor(value: float) -> float:
-    """A number that goes with a parameter; :class:`ModelError` if it is none."""
+    """Return a number to combine with a parameter, as a float; :class:`ModelError` otherwise."""
     if isinstance(value, Affine):
         raise ModelError(f"{value!r} is multiplied by a parameter: expressions must be affine")
     if not isinstance(value, Real):
-        raise ModelError(f"a parameter goes with numbers, not with {in_short(value)}")
+        raise ModelError(f"a parameter combines with numbers only, not with {in_short(value)}")
     return float(value)
 
 
 @dataclass(frozen=True)
 class PlacedParameter:
-    """A parameter of a model: its value, and how fast numbers rise with it."""
+    """A parameter of a model: its value, and the derivatives of numbers by it."""
 
     value: float
     probabilities: dict[int, float] = field(default_factory=dict, repr=False)  # by outcome
     costs: dict[tuple[str, int], float] = field(default_factory=dict, repr=False)
-    """By name of the cost ("cost" where it has none) and outcome."""
+    """Derivatives by name of the cost ("cost" if it has none) and outcome."""

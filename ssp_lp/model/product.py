@@ -1,8 +1,8 @@
-"""The product of a model with a memory of the user's own: tasks, counters, deadlines.
+"""The product of a model with a memory of your own: tasks, counters, deadlines.
 
-"Fetch the key before the door", "at most two visits of the ward", "within twenty steps": what an
-episode must do is often told by what happened on the way. A memory says what has to be kept of it;
-the product's states are (state, memory), so that every criterion and every method applies.
+"Fetch the key before the door", "at most two visits of the ward", "within twenty steps": success
+often depends on the history of an episode. A memory summarises it; the product's states are (state,
+memory), so that every criterion and every method applies.
 """
 
 from __future__ import annotations
@@ -33,33 +33,33 @@ from ssp_lp.model.graph import dead_ends, goal_approach
 from ssp_lp.model.ssp import SSP, check_model, no_lone_string
 
 MEMORY_FAILS = "memory fails"
-"""Label of states where the memory fails."""
+"""Label of states in which the memory fails."""
 
 NOT_ACCEPTED = "goal not accepted"
 """Label of goals of the original that the memory does not accept."""
 
 
 Label = tuple[Hashable, Hashable]
-"""A state of the product: the original's, and the memory."""
+"""A state of the product: (state of the original, memory)."""
 
 
 def _always_in_product(memory: Any) -> bool:
-    """A memory of a product that accepts everything."""
+    """Accept every memory of a product."""
     return True
 
 
 def _never_in_product(memory: Any) -> bool:
-    """A memory of a product that never fails."""
+    """Fail with no memory of a product."""
     return False
 
 
 @explained_class
 @dataclass(frozen=True)
 class Memory:
-    """A memory of an episode, as its product with the model has it, and its decisions on ends.
+    """A memory of an episode: its updates, and its decisions on success and failure.
 
     Args:
-        start: at the beginning; any hashable.
+        start: initial memory; any hashable.
         update: ``(memory, state, action, successor, cost) -> memory`` after each step.
         accepts: whether reaching a goal with this memory is a success; else it is a dead-end.
         fails: whether an episode fails as soon as it has this memory.
@@ -80,13 +80,13 @@ class Memory:
     fails: Callable[[Any], bool] = _never_in_product
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` for what is no function, or one of other arguments."""
+        """Raise :class:`ModelError` unless the attributes are functions of these arguments."""
         check_fields(self)
 
 
 @dataclass(frozen=True)
 class ProductStates(Sequence[Label]):
-    """The states (state, memory) of a product, made when they are asked for."""
+    """The states (state, memory) of a product, as a sequence that makes them on access."""
 
     names: Sequence[Hashable]  # the original's states
     memories: tuple[Hashable, ...]
@@ -110,22 +110,22 @@ class ProductStates(Sequence[Label]):
 class ProductSSP(SSP):
     """A model whose states are (state, memory); see :func:`product`.
 
-    Actions are those of the original, in their order; a state has none where the episode is over:
+    Actions are those of the original, in their order; a state has none if the episode is over:
     at goals, where the memory fails, and at goals of the original that it does not accept.
     """
 
     original: SSP = field(kw_only=True)
-    memory: Memory | None = field(kw_only=True, default=None)  # None: ``moved`` knows it by itself
-    is_hidden: bool = field(kw_only=True, default=False)  # behind a problem that states another
+    memory: Memory | None = field(kw_only=True, default=None)  # None: ``moved`` is overridden
+    is_hidden: bool = field(kw_only=True, default=False)  # the user's problem has another model
 
     def start(self, start: Hashable | Mapping[Hashable, float]) -> dict[Hashable, float]:
-        """Start of the product for a start of the original.
+        """Return the start of the product for a start of the original.
 
         Args:
             start: a state of the original, or ``{state: probability}``.
 
         Raises:
-            ModelError: a state from which the product was not explored.
+            ModelError: a state in which the product's episodes do not begin.
         """
         shares = start if isinstance(start, Mapping) else {start: 1.0}
         places = np.array([self.original.index_of(state, "start") for state in shares])
@@ -139,12 +139,12 @@ class ProductSSP(SSP):
         return distribution
 
     def first_memory(self, states: IntArray) -> IntArray:
-        """Number of the memory with which episodes begin in states of the original, [episodes]."""
+        """Return the index of the first memory of episodes in original states, [episodes]."""
         return np.zeros(len(states), dtype=np.int64)
 
     @property
     def labels(self) -> ProductStates:
-        """The product's states, (state, memory) each."""
+        """States of the product, (state, memory) each."""
         return cast("ProductStates", self.states)
 
     @property
@@ -154,9 +154,9 @@ class ProductSSP(SSP):
 
     @property
     def memories(self) -> tuple[Hashable, ...]:
-        """Memories that occur in the product, the one at the start first.
+        """Memories that occur in the product, beginning with the one at the start.
 
-        Those of a horizon are counts, and :data:`LATE`.
+        With a horizon these are counts of steps, and :data:`LATE`.
         """
         return self.labels.memories
 
@@ -168,27 +168,27 @@ class ProductSSP(SSP):
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Outcome of the original of each of the product, [outcomes]; possible ones only."""
+        """Original outcome of each outcome of the product, [outcomes]; possible ones only."""
         possible = np.flatnonzero(self.original.probabilities > 0.0)
         offsets = np.searchsorted(possible, self.original.outcome_offsets)
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Pairs of some product states that are pairs of the original, [entries].
+        """Return the pairs of the product in these states for pairs of the original, [entries].
 
         Args:
             states: of the product, [entries].
-            pairs: of the original, in the original's state of each, [entries].
+            pairs: of the original, in the original state of each entry, [entries].
         """
         shift = self.pair_offsets[states] - self.original.pair_offsets[self.original_state[states]]
         return np.asarray(pairs + shift)
 
     def at(self, states: IntArray, numbers: IntArray) -> IntArray:
-        """States of the product by what is remembered, [entries].
+        """Return the product's states for states of the original and memories, [entries].
 
         Args:
             states: of the original, [entries].
-            numbers: of the memories, [entries].
+            numbers: indices of the memories, [entries].
 
         Raises:
             ModelError: a state and a memory that do not occur together.
@@ -203,7 +203,7 @@ class ProductSSP(SSP):
         return places
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """States of the product after steps, [episodes].
+        """Return the states of the product after steps, [episodes].
 
         Args:
             pairs: of the product, [episodes].
@@ -217,7 +217,7 @@ class ProductSSP(SSP):
 
         @cache
         def updated(pair: int, successor: int, cost: float) -> int:
-            """Number of the product's memory after a step."""
+            """Return the index of the product's memory after a step."""
             (state, kept), there = self.labels[int(self.pair_state[pair])], model.states[successor]
             step = kept, state, self.action_of(pair), there, cost
             if (after := update(*step)) not in self.memory_number:
@@ -230,7 +230,7 @@ class ProductSSP(SSP):
         return self.at(successors, np.array(list(map(updated, *steps)), dtype=np.int64))
 
     def moved_by(self, pairs: IntArray, outcomes: IntArray) -> tuple[IntArray, IntArray]:
-        """States and outcomes of the product for outcomes of the original, [entries] each.
+        """Return the product's states and outcomes for original outcomes, [entries] each.
 
         Args:
             pairs: of the product, [entries].
@@ -243,10 +243,10 @@ class ProductSSP(SSP):
         return self.successors[place].astype(np.int64), place
 
     def places_of(self, state: Hashable) -> IntArray:
-        """State of the product with this label, or all for a state of the original.
+        """Return the state of the product with this label, or all of them for an original state.
 
         Raises:
-            ModelError: neither model has a state with the label.
+            ModelError: neither the product nor the original has a state with the label.
         """
         place = self.find(state)
         if place is not None:
@@ -255,10 +255,10 @@ class ProductSSP(SSP):
         return np.asarray(copies[copies >= 0])
 
     def hint(self, state: Hashable) -> str:
-        """Clause for errors of a product: what may be meant by what is no state."""
+        """Return a clause for the error of a product about an unknown state."""
         if self.original.find(state) is None:
             return super().hint(state)
-        return f": its states are (state, memory), start({state!r}) is where it begins"
+        return f": its states are (state, memory), start({state!r}) is the initial one"
 
     @cached_property
     def memory_number(self) -> dict[Hashable, int]:
@@ -273,13 +273,13 @@ class ProductSSP(SSP):
         return read_only(table)
 
     def find(self, state: Hashable) -> int | None:
-        """Index of the product's state (state, memory), None if there is none."""
+        """Return the index of the product's state (state, memory), or None."""
         if not (isinstance(state, tuple) and len(state) == 2):
             return None
         here = self.original.find(state[0])
         try:
             number = self.memory_number.get(state[1])
-        except TypeError:  # a list, say
+        except TypeError:  # not hashable, such as a list
             return None
         if here is None or number is None:
             return None
@@ -288,12 +288,12 @@ class ProductSSP(SSP):
 
 
 def copied_parts(model: SSP, pairs: IntArray, outcomes: IntArray) -> dict[str, Any]:
-    """Fields of a product that are copies of the model's.
+    """Return the fields of a product that are copies of the model's.
 
     Args:
         model: the model.
-        pairs: of the model, that the product's are copies of, [product pairs].
-        outcomes: likewise, [product outcomes].
+        pairs: the model's pair of each pair of the product, [product pairs].
+        outcomes: the model's outcome of each outcome of the product, [product outcomes].
     """
     return {
         "action_names": model.action_names,
@@ -318,30 +318,30 @@ def product(
 
     Args:
         model: the model.
-        memory: what is remembered.
+        memory: the memory.
         start: states in which episodes may begin; None: every state of the model.
-        state_limit: raise when the product has more states than this.
+        state_limit: greatest number of states of the product.
 
     Returns:
         The product. Labels of the model's states are kept; states where the memory fails bear the
         label "memory fails", goals that it does not accept "goal not accepted".
 
     Raises:
-        ModelError: the limit was passed (a memory that grows without end), or the memory's
-            functions do not return what they should.
+        ModelError: more states than the limit (a memory that grows without end), or a function
+            of the memory returns a wrong value.
     """
     check_model(model, "product")
     if not isinstance(memory, Memory):
         raise ModelError(f"product takes a Memory after the model, not {memory!r}")
 
     def is_goal(label: Label) -> bool:
-        """Whether a goal of the original is reached, by a memory that accepts it."""
+        """Return whether a state is a goal of the original with a memory that accepts it."""
         state, kept = label
         at_goal = bool(model.goal_mask[model.index_of(state)])
         return at_goal and not memory.fails(kept) and bool(memory.accepts(kept))
 
     def successors(label: Label) -> dict[Hashable, list[tuple[float, Label, float]]]:
-        """Ends of each action of the original, with the number of the outcome as its cost."""
+        """Return the outcomes of each action of a state, with the original outcome as the cost."""
         state, kept = label
         if memory.fails(kept):
             return {}
@@ -384,11 +384,11 @@ def product(
 def labels_in_product(
     model: SSP, state: IntArray, own: Mapping[str, BoolArray]
 ) -> dict[str, IntArray]:
-    """The labels of the original's states in a product, and its own; a label may say both.
+    """Return the labels of states in a product: the original's and the product's own, merged.
 
     Args:
         model: the original.
-        state: of the original, of each state of the product, [states].
+        state: the original's state of each state of the product, [states].
         own: label -> the product's states that bear it, [states].
     """
     marked = dict(own)
@@ -399,22 +399,22 @@ def labels_in_product(
 
 
 def check_product(model: SSP) -> ProductSSP:
-    """The model, if it is a product.
+    """Return the model if it is a product.
 
     Raises:
         ModelError: it is not.
     """
     if not isinstance(model, ProductSSP):
-        raise ModelError("the policy lives on no product: product(model, memory) makes one")
+        raise ModelError("the policy's model is not a product: make one by product(model, memory)")
     return model
 
 
-MOST_PLACES: Final = 250_000_000  # states times steps, or memories: nine bytes each in numbering
+MOST_PLACES: Final = 250_000_000  # states times steps or memories: nine bytes each in numbering
 
 _BUILDING = logging.getLogger("ssp_lp.building")
 
 LATE: Final = "out of time"
-"""The memory of an episode that has used up its steps, and the label of the states it ends in."""
+"""Memory of an episode that has used up its steps, and label of the states it ends in."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -425,10 +425,10 @@ class HorizonSSP(ProductSSP):
     survive: tuple[str, ...] | None = field(kw_only=True, default=None)  # :func:`within_steps`
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """States after steps: one more is taken, and after the last one it is late, [episodes].
+        """Return the states after one more step; after the last step it is late, [episodes].
 
         Raises:
-            ModelError: a step leads to a state that does not occur then.
+            ModelError: a step leads to a state that does not occur after so many steps.
         """
         count = self.labels.number[self.pair_state[pairs]].astype(np.int64) + 1
         over = (count == self.steps) & (np.diff(self.original.pair_offsets)[successors] > 0)
@@ -443,24 +443,24 @@ def within_steps(
     start: Iterable[Hashable] | None = None,
     survive: bool | Iterable[str] = False,
 ) -> HorizonSSP:
-    """The model in which an episode fails unless it reaches the goal within so many steps.
+    """Return the model in which an episode fails unless it reaches the goal within some steps.
 
-    It is the product with a memory that counts steps, made from arrays at once. A policy on it
-    knows how many steps are left; ``on_original`` lets it act on the model's states. To go on for
-    so long may be success itself ("do not fall within 500 steps"): then an episode fails where it
-    comes to a state without actions before, or to one that bears a label of what is to be survived.
+    It is the product with a memory that counts steps, built from arrays. A policy on it knows the
+    number of steps left; ``on_original`` lets it act on the model's states. With ``survive``, going
+    on for all steps is success ("do not fall within 500 steps"): an episode fails if it reaches a
+    state without actions before, or one with a label in ``survive``.
 
     Args:
-        model: the model; where surviving is all that counts, with a goal that no action leads to.
-        steps: how many; a goal reached with the last one counts.
+        model: the model; if only surviving counts, with a goal that no action leads to.
+        steps: number of steps; a goal reached with the last one counts.
         start: states in which episodes may begin; None: every state of the model.
-        survive: an episode that still goes on when the steps are used up has reached the goal; or
-            the labels of states in which it does not go on, though they have actions.
+        survive: True, so that an episode that goes on for all steps has reached the goal; or the
+            labels of states in which it does not go on, though they have actions.
 
     Returns:
-        The product, with states (state, steps taken), and (state, "out of time") where the steps
-        are used up, which are goals if surviving is success. Dead-ends for lack of time, where more
-        steps are needed than are left, bear the label "out of time"; other labels are kept.
+        The product, with states (state, steps taken), and (state, "out of time") after the last
+        step, which are goals with ``survive``. States from which the goal is too many steps away
+        are dead-ends with the label "out of time"; other labels are kept.
 
     Raises:
         ModelError: ``steps`` is no positive number, an unknown start, or no goal can be reached.
@@ -488,7 +488,7 @@ def within_steps(
         leaving = inside[source] & ~inside[model.successors] & (model.probabilities > 0.0)
         if leaving.any():
             state = model.states[int(source[int(np.argmax(leaving))])]
-            raise ModelError(f"state {state!r} can be left: what is survived is where all stays")
+            raise ModelError(f"state {state!r} can be left: states in survive must be absorbing")
     begin = None
     if start is not None:
         begin = [model.index_of(state) for state in no_lone_string(start, "start")]
@@ -501,13 +501,13 @@ def within_steps(
 def unroll_steps(
     model: SSP, steps: int, begin: Sequence[int] | None, survive: tuple[str, ...] | None = None
 ) -> HorizonSSP:
-    """The model of :func:`within_steps`, whether a goal can be reached in it or not.
+    """Return the model of :func:`within_steps`, whether a goal can be reached in it or not.
 
     Args:
         model: the model.
-        steps: how many, >= 1.
+        steps: number of steps, >= 1.
         begin: states in which episodes may begin; None: all.
-        survive: labels of states that are to be survived, where having taken all steps is success;
+        survive: labels of states in which surviving ends, if having taken all steps is success;
             None: it is not.
     """
     steps = int(steps)
@@ -515,7 +515,7 @@ def unroll_steps(
     step, state = np.nonzero(reached)
     position = np.cumsum(reached.ravel()).reshape(reached.shape) - 1
 
-    # what may be done, and what comes of it: copies of the model's pairs and outcomes
+    # pairs and outcomes within the steps: copies of the model's
     actions = np.where(step < steps, np.diff(model.pair_offsets)[state], 0)
     pairs = concatenated_ranges(model.pair_offsets[state], actions)
     check_time()
@@ -531,7 +531,7 @@ def unroll_steps(
     over = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
     count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
     late = dict[str, BoolArray]()
-    if survive is None:  # label where more steps are needed than are left
+    if survive is None:  # label states from which the goal is too many steps away
         nearer, needed = goal_approach(model)
         needed = np.where((nearer >= 0) | model.goal_mask, needed, steps + 1)
         late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - step
@@ -554,14 +554,14 @@ def unroll_steps(
 
 
 def _reached_within_steps(model: SSP, begin: Sequence[int] | None, steps: int) -> BoolArray:
-    """States of the product that an episode may be in by step, [steps + 1, states].
+    """Return the states of the product that an episode may be in by step, [steps + 1, states].
 
     Raises:
-        ModelError: there are too many of both.
+        ModelError: states times steps are too many.
     """
     if (steps + 1) * model.n_states > MOST_PLACES:
         raise ModelError(
-            f"{steps:,} steps on {model.n_states:,} states are too many to tell apart: take ",
+            f"{steps:,} steps on {model.n_states:,} states are too many: take ",
             Argument("horizon", None),
             ", or make the model smaller",
         )

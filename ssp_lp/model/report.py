@@ -1,4 +1,4 @@
-"""Reports: a result declares its rows once; text, HTML, frames and CSV are made of them here."""
+"""Reports: a result declares its rows once, for text, HTML, frames and CSV."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from typing import Any, TypeVar
 from ssp_lp.errors import did_you_mean, optional_module
 
 _Value = TypeVar("_Value")
-_DIGITS = 6  # significant, of numbers whose column or row asks for no others
-_FACT = "name", "value", "note"  # columns of a table of facts, which prints no head
+_DIGITS = 6  # default of significant digits
+_FACT = "name", "value", "note"  # columns of a table of facts, which has no printed head
 
 
 class ByName(dict[str, _Value]):
-    """Values by name, whose KeyError says which name was probably meant."""
+    """Values by name, whose KeyError suggests a name for an unknown one."""
 
     def __missing__(self, name: object) -> _Value:
         """Raise :class:`KeyError`."""
@@ -29,8 +29,8 @@ class ByName(dict[str, _Value]):
 class Table:
     """Rows of values under the names of their columns.
 
-    A table of facts has no head: each row is a name, a value, and perhaps a note. Facts that have
-    no value are not shown.
+    A table of facts has no head: each row is a name, a value, and an optional note. Facts without a
+    value are not shown.
     """
 
     rows: Sequence[Sequence[Any]]
@@ -39,8 +39,8 @@ class Table:
     notes: Sequence[str] = ()
     digits: Mapping[str, int] = field(default_factory=dict)  # by name of a column or a fact
     left: int = 1  # columns that are flush left in text
-    shown: Sequence[int] | None = None  # numbers of the rows in text and HTML; None: all
-    hidden: Collection[str] = ()  # columns that only frames and CSV have
+    shown: Sequence[int] | None = None  # indices of the rows in text and HTML; None: all
+    hidden: Collection[str] = ()  # columns in frames and CSV only
 
     @property
     def columns(self) -> Sequence[str]:
@@ -48,7 +48,7 @@ class Table:
         return self.head or _FACT
 
     def cells(self) -> list[list[str]]:
-        """Text of the rows that are shown."""
+        """Return the text of the rows that are shown."""
         rows = self.rows if self.shown is None else [self.rows[k] for k in self.shown]
         if not self.head:
             told = ((name, rest) for name, *rest in rows if rest[0] not in (None, "", {}))
@@ -63,7 +63,7 @@ class Table:
         ]
 
     def _cell(self, name: str, value: Any) -> str:
-        """Text of a value of a column or a fact."""
+        """Return the text of a value of a column or a fact."""
         if value is None or value != value:
             return "-"
         if isinstance(value, float):
@@ -77,7 +77,7 @@ class Table:
         return f"{value:,}" if isinstance(value, int) else str(value)
 
     def lines(self) -> list[str]:
-        """Lines of text: the title, aligned columns, and the notes."""
+        """Return the lines of text: the title, aligned columns, and the notes."""
         rows, left = self.cells(), self.left if self.head else 2
         rows = [self._shown_head, *rows] if self.head and rows else rows
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -96,7 +96,7 @@ class Table:
         return [name for name in self.head if name not in self.hidden]
 
     def html(self) -> str:
-        """HTML of the table under its title, with its notes below."""
+        """Return the table as HTML, with its title above and its notes below."""
         cells, lines = self.cells(), []
         for row, tag in [
             *[(self._shown_head, "th")] * bool(self.head),
@@ -111,11 +111,11 @@ class Table:
         return "\n".join(["<table>", caption, *lines, "</table>", *notes])
 
     def records(self) -> list[dict[str, Any]]:
-        """Each row as ``{column: value}``."""
+        """Return each row as ``{column: value}``."""
         return [dict(zip(self.columns, row, strict=False)) for row in self.rows]
 
     def to_frame(self) -> Any:
-        """All rows as a pandas ``DataFrame``.
+        """Return all rows as a pandas ``DataFrame``.
 
         Raises:
             MissingDependencyError: pandas is not installed.
@@ -124,33 +124,33 @@ class Table:
         return frame(self.records(), columns=[*self.columns])
 
     def csv(self) -> str:
-        """All rows with commas between their cells, under a head; what has no value is empty."""
+        """Return all rows as CSV with a head; missing values are empty."""
         text = StringIO()
         csv.writer(text, lineterminator="\n").writerows([self.columns, *self.rows])
         return text.getvalue()
 
 
 class Report:
-    """Mix-in of results that are tables: printed in full, shown in notebooks, made a frame."""
+    """Mix-in of results that are tables: as text, as HTML in notebooks, as a frame."""
 
     @abstractmethod
     def tables(self) -> Sequence[Table]:
         """Return the tables of the result, each declared once."""
 
     def summary(self) -> str:
-        """Text of the tables."""
+        """Return the text of all tables."""
         return "\n".join(line for table in self.tables() for line in table.lines())
 
     def __str__(self) -> str:
-        """Text of the tables."""
+        """Return the text of all tables."""
         return self.summary()
 
     def _repr_html_(self) -> str:
-        """HTML of the tables, for notebooks."""
+        """Return the HTML of all tables, for notebooks."""
         return "\n".join(table.html() for table in self.tables())
 
     def to_frame(self) -> Any:
-        """All rows of the first table as a pandas ``DataFrame``.
+        """Return all rows of the first table as a pandas ``DataFrame``.
 
         Raises:
             MissingDependencyError: pandas is not installed.
@@ -159,13 +159,13 @@ class Report:
 
 
 class Facts(Report):
-    """Mix-in of results that are one table of facts: one line by itself, a few as a summary."""
+    """Mix-in of results that are one table of facts: a line as repr, several as summary."""
 
     def __repr__(self) -> str:
-        """One line."""
+        """Return the facts in a line."""
         told = ", ".join(" ".join(cells) for table in self.tables() for cells in table.cells())
         return f"{type(self).__name__}({told})"
 
     def __str__(self) -> str:
-        """One line."""
+        """Return the facts in a line."""
         return repr(self)

@@ -1,6 +1,6 @@
 """The stochastic shortest path model with dead-ends (paper, section 2.1), and its builders.
 
-What users state of it is checked here; errors name the state and the action.
+The builders check their input; errors name the state and the action.
 """
 
 from __future__ import annotations
@@ -51,25 +51,25 @@ if TYPE_CHECKING:
     from ssp_lp.model.failure_product import FailureSSP
 
 Costs = float | Mapping[str, float]
-"""What an outcome costs: a number, or numbers by name, of which the model counts one."""
+"""Cost of an outcome: a number, or numbers by name, of which the model counts one."""
 
 Outcomes = Iterable[tuple[float, Hashable, Costs]]
 
 StateSet = Iterable[Hashable] | Callable[[Any], bool]
-"""States by their labels, or what holds of just them."""
+"""States by their labels, or a predicate on states."""
 
 DeadEnds = str | StateSet
 """States or labels of states of the model, or one label, or a predicate on states."""
 
 ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
-"""Names that reports give to the ways in which an episode ends."""
+"""Names of the ways in which an episode ends, in reports."""
 
-_UNHASHABLE = "list, dict or set, nor an array: write tuple(array.tolist())"
+_UNHASHABLE = "list, dict, set or array: write tuple(array.tolist())"
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
 _NO_REWARDS = (
-    "costs must be >= 0 (rewards? pass costs=-rewards; a constant added to every step would ask "
-    "another question)"
+    "costs must be >= 0 (rewards? pass costs=-rewards; a constant added to every step changes "
+    "the problem)"
 )
 
 
@@ -81,7 +81,7 @@ class SSP(Graph, ReadOnlyCopies):
     check their input; the fields below are read-only afterwards. An *outcome* of a pair is
     (probability, successor, cost); two outcomes of a pair may share a successor and differ in
     cost. Goal states are absorbing and free (the paper's state 0): an episode ends there, so
-    they have no pairs. A state without pairs that is no goal is a dead-end.
+    they have no pairs. A state without pairs that is not a goal is a dead-end.
     """
 
     states: Sequence[Hashable]  # [states] labels
@@ -92,12 +92,12 @@ class SSP(Graph, ReadOnlyCopies):
     state_labels: Mapping[str, IntArray]  # label -> state indices; for reports only
     exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
     named_costs: Mapping[str, FloatArray] = field(kw_only=True, default_factory=dict)
-    """Costs by name, [outcomes] each, ``costs`` among them if it has a name: what
-    ``secondary_cost("fuel")`` counts."""
+    """Costs by name, [outcomes] each, ``costs`` among them if it has a name, for
+    ``secondary_cost("fuel")``."""
     counts: FloatArray | None = field(kw_only=True, default=None)
-    """How often each outcome was seen, [outcomes]; None: the model was not made of counts."""
+    """Count of each outcome, [outcomes]; None: the model was not made of counts."""
     parameters: Mapping[str, PlacedParameter] = field(kw_only=True, default_factory=dict)
-    """Parameters of which probabilities and costs are expressions, by name."""
+    """Parameters of the expressions for probabilities and costs, by name."""
 
     @classmethod
     @explained
@@ -116,15 +116,15 @@ class SSP(Graph, ReadOnlyCopies):
 
         Args:
             transitions: every state that is not a goal must be a key, unless states without
-                actions are accepted. Actions listed at a goal state are left out: the episode ends
-                there. A cost may be several by name, ``{"time": 4.0, "fuel": 1.5}``, the same
-                names everywhere. Probabilities and costs may be expressions of a
+                actions are accepted. Actions of a goal state are ignored: the episode ends there. A
+                cost may be several by name, ``{"time": 4.0, "fuel": 1.5}``, with the same names
+                everywhere. Probabilities and costs may be expressions of a
                 :class:`ssp_lp.Parameter`.
             goal: the labels of the goal states.
-            cost: which of several costs is the model's own; the others are limited by
-                ``secondary_cost("fuel")``.
-            state_labels: names for sets of states ("wall"), used in reports and limits; each is
-                given by its states, or by what holds of just them.
+            cost: name of the model's own cost, of several; ``secondary_cost("fuel")`` limits the
+                others.
+            state_labels: names for sets of states ("wall"), used in reports and limits; each with
+                its states, or a predicate on states.
             dead_ends: states from which no action reaches the goal, given by their labels or by a
                 predicate. Any other state without actions that is not a goal is then an error.
             treat_actionless_as_dead_ends: without ``dead_ends``, accept all states without actions
@@ -135,7 +135,7 @@ class SSP(Graph, ReadOnlyCopies):
             The model, with states numbered in the order of the keys, goals that are no keys last.
 
         Raises:
-            ModelError: naming the state and the action at fault.
+            ModelError: the error names the wrong state and action.
 
         Example:
             >>> model = SSP.from_transitions(
@@ -146,14 +146,14 @@ class SSP(Graph, ReadOnlyCopies):
         """
         if not isinstance(transitions, Mapping):
             raise ModelError(
-                "a model is told as {state: {action: [(probability, successor, cost), ...]}}, not "
-                f"as {in_short(transitions)}"
+                "a model must be {state: {action: [(probability, successor, cost), ...]}}, not "
+                f"{in_short(transitions)}"
             )
         goals = dict.fromkeys(no_lone_string(goal, "goal"))
         listed = [*transitions, *(g for g in goals if g not in transitions)]
         is_closed = dead_ends is None and not treat_actionless_as_dead_ends
         flat, n_listed = FlatModel(listed, cost, closed=is_closed), len(listed)
-        for state in flat.states:  # it grows where states without actions are not listed
+        for state in flat.states:  # it grows if states without actions are not listed
             reached = state in goals
             flat.add(state, {} if reached else transitions.get(state, {}), goal=reached)
         led_to = {flat.states[place] for place in set(flat.arrays["successors"])}
@@ -193,9 +193,9 @@ class SSP(Graph, ReadOnlyCopies):
             successors: maps a state to ``{action: [(probability, successor, cost), ...]}``, where
                 the cost may be several by name, as in :meth:`from_transitions`.
             goal: a predicate on states, or the goal states.
-            cost: which of several costs is the model's own.
-            state_limit: raise when more states than this are found.
-            progress: called now and then with the number of states found so far.
+            cost: name of the model's own cost, of several.
+            state_limit: greatest number of states; more raise an error.
+            progress: called at intervals with the number of states found so far.
             state_labels: names for sets of states, as in ``from_transitions``.
             dead_ends: states from which no action reaches the goal, given by their labels or by a
                 predicate. Any other state without actions that is not a goal is then an error.
@@ -204,7 +204,7 @@ class SSP(Graph, ReadOnlyCopies):
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
 
         Raises:
-            ModelError: naming the state and the action at fault, or that the limit was passed.
+            ModelError: the error names the wrong state and action, or the limit that was passed.
         """
         check_whole("state_limit", state_limit)
         is_goal = _test_of(goal, "goal")
@@ -213,7 +213,7 @@ class SSP(Graph, ReadOnlyCopies):
         for state in begin:
             _check_hashable(state, "start")
         flat = FlatModel([*dict.fromkeys(begin)], cost)
-        for done, state in enumerate(flat.states, start=1):  # it grows while it is walked
+        for done, state in enumerate(flat.states, start=1):  # it grows during the loop
             reached = is_goal(state)
             flat.add(state, {} if reached else successors(state), goal=reached)
             count = len(flat.states)
@@ -254,12 +254,12 @@ class SSP(Graph, ReadOnlyCopies):
         vectorised: bool = False,
         state_labels: Mapping[str, StateSet] | None = None,
     ) -> ImplicitSSP:
-        """State a model by its successor function, explored only as far as a question needs it.
+        """Create a model from its successor function, explored only as far as a problem needs it.
 
         ``solve`` explores from the start: it solves the explored part, where states that were found
         but not expanded (the fringe) reach the goal at the bounds below or fail at no cost, expands
-        the states on which the answer rests, and ends when it rests on none. The answer is that of
-        the whole model. States without actions that are no goals are dead-ends.
+        the states on which the solution depends, and ends when it depends on none. The solution is
+        that of the whole model. States without actions that are not goals are dead-ends.
 
         Args:
             start: a state, or a list or set of states, in which episodes may begin.
@@ -267,15 +267,15 @@ class SSP(Graph, ReadOnlyCopies):
                 the cost may be several by name, as in :meth:`from_transitions`; it must always
                 return the same.
             goal: a predicate on states, or the goal states.
-            cost: which of several costs is the model's own.
+            cost: name of the model's own cost, of several.
             cost_bound: maps a state to a lower bound of ``E[cost; goal] / Pr(goal)`` of *every*
-                policy from there, also of one that fails often: the least cost of a way to the
+                policy from there, also of one that fails often: the least cost of a path to the
                 goal is such a bound, and so is h_max; the optimum of ``MinCost`` is not. Infinite
-                where no policy reaches the goal. It may be ``{name: bound}`` where costs have
-                names. None: 0.
+                where no policy reaches the goal. It may be ``{name: bound}`` if costs have names.
+                None: 0.
             failure_bound: maps a state to a lower bound of the failure probability of every policy
                 from there, never discounted. None: 0.
-            growth: factor by which the explored part grows from round to round, above 1; where
+            growth: factor by which the explored part grows from round to round, above 1; if
                 ``successors`` takes a millisecond or more, 1.25 to 1.5 is faster.
             vectorised: states are whole numbers >= 0, and all functions take an array of them.
                 ``successors`` returns ``{"actions": [states] number of actions of each,
@@ -286,7 +286,7 @@ class SSP(Graph, ReadOnlyCopies):
 
         Returns:
             The model, for ``MCMP(model, start, ...)`` and other criteria of costs and probabilities
-            (case M). What needs every state of it raises ModelError.
+            (case M). Functions that need all of its states raise ModelError.
 
         Raises:
             ModelError: a growth that is not above 1.
@@ -317,7 +317,7 @@ class SSP(Graph, ReadOnlyCopies):
             if not (bound is None or callable(bound)):
                 raise wrong_argument(name, "be a function of a state", bound)
         if UNEXPLORED in tests:
-            raise ModelError(f"state label {UNEXPLORED!r} is taken: it names what is not explored")
+            raise ModelError(f"state label {UNEXPLORED!r} is reserved for unexplored states")
         return ImplicitSSP(begin, successors, is_goal, tests, bounds, cost, growth, vectorised)
 
     @classmethod
@@ -341,11 +341,11 @@ class SSP(Graph, ReadOnlyCopies):
         A state without rows that is not a goal is a dead-end.
 
         Args:
-            table: a ``DataFrame`` of pandas or polars, or anything else that has columns by name,
+            table: a ``DataFrame`` of pandas or polars, or any other object with columns by name,
                 such as a dict of lists.
             goal: the goal states.
-            state: the column of the state in which the action is taken, or several, of which a
-                tuple is made.
+            state: the column of the state in which the action is taken, or several columns, which
+                make a tuple.
             action: the column of the action.
             successor: the column of the next state, or as many as ``state`` has.
             probability: the column of the probability.
@@ -356,8 +356,8 @@ class SSP(Graph, ReadOnlyCopies):
             normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
 
         Raises:
-            ModelError: a column that is not there or is of another length, an empty cell, or naming
-                the state and the action at fault.
+            ModelError: a column that is missing or of another length, an empty cell, or a wrong
+                state or action, which the error names.
 
         Example:
             >>> table = {"state": ["a", "a"], "action": ["go", "go"], "successor": ["home", "pit"],
@@ -411,10 +411,11 @@ class SSP(Graph, ReadOnlyCopies):
         state_labels: Mapping[str, StateSet] | None = None,
         dead_ends: DeadEnds | None = None,
     ) -> SSP:
-        """Build a model from counted outcomes: probabilities are shares of the counts.
+        """Build a model from counted outcomes: probabilities are relative frequencies.
 
-        Rows of one outcome are added up. ``Boxes.from_counts(model)`` has an interval for each
-        probability, ``posterior_draws(model, 100, seed=0)`` has models that the counts allow.
+        Rows of one outcome are added up. ``Boxes.from_counts(model)`` gives an interval for each
+        probability, ``posterior_draws(model, 100, seed=0)`` gives models that are likely by the
+        counts.
 
         Args:
             table: a frame or a dict of columns, as in :meth:`from_frame`, or rows ``(state,
@@ -423,15 +424,15 @@ class SSP(Graph, ReadOnlyCopies):
             state: the column of the state, or several, as in :meth:`from_frame`.
             action: the column of the action.
             successor: the column of the next state, or as many as ``state`` has.
-            count: the column of how often the outcome was seen, a whole number >= 0. A successor
-                that may come but was never seen needs a row of count 0.
+            count: the column of the outcome's count, a whole number >= 0. A successor that is
+                possible but was never seen needs a row of count 0.
             cost: the column of the cost, or of several, as in :meth:`from_frame`.
             state_labels: names for sets of states, as in ``from_transitions``.
             dead_ends: the states without rows that are not goals; any other one is then an error.
 
         Raises:
-            ModelError: as of :meth:`from_frame`, a count that is no whole number >= 0, or an action
-                that was never taken; it is named.
+            ModelError: as in :meth:`from_frame`, a count that is no whole number >= 0, or an action
+                that was never taken; the error names it.
 
         Example:
             >>> model = SSP.from_counts(
@@ -463,7 +464,7 @@ class SSP(Graph, ReadOnlyCopies):
                 raise ModelError(f"row {row!r} of the table, ({needed}): the count "
                                  f"{number!r} is no whole number >= 0")  # fmt: skip
             actions = tally.setdefault(here, {})
-            if here not in goals:  # whose rows are left out, as in from_transitions
+            if here not in goals:  # rows of goals are ignored, as in from_transitions
                 actions.setdefault(name, Counter())[there, *paid] += int(number)
         transitions: dict[Hashable, dict[Hashable, Outcomes]] = {here: {} for here in tally}
         pairs = [(here, name, seen) for here, acts in tally.items() for name, seen in acts.items()]
@@ -496,19 +497,18 @@ class SSP(Graph, ReadOnlyCopies):
         cost: str | Sequence[str] = "cost",
         **options: Any,
     ) -> SSP:
-        """Build a model from a CSV file whose first row names the columns, a row for each outcome.
+        """Build a model from a CSV file with names of columns first, then a row for each outcome.
 
         Args:
-            path: the file. States and actions are the words that it holds; numbers may be fractions
-                such as 1/3.
+            path: the file. States and actions are its words; numbers may be fractions such as 1/3.
             goal: the goal states.
             probability: the column of the probability.
             cost: the column of the cost, or of several, as in :meth:`from_frame`.
             options: further arguments of :meth:`from_frame`.
 
         Raises:
-            ModelError: no such column, a cell that is empty or no number, or naming the state and
-                the action at fault.
+            ModelError: no such column, a cell that is empty or no number, or a wrong state or
+                action, which the error names.
             OSError: the file cannot be read.
         """
         names = [probability, *([cost] if isinstance(cost, str) else cost)]
@@ -554,8 +554,8 @@ class SSP(Graph, ReadOnlyCopies):
             probabilities: [outcomes].
             costs: one number, or one per pair, or one per outcome.
             goal_states: indices of the goal states, which must have no pairs.
-            states: labels of the states; their indices if left out.
-            actions: [pairs] labels of the actions; their position within the state if left out.
+            states: labels of the states; None: their indices.
+            actions: [pairs] labels of the actions; None: their position within the state.
             state_labels: names for sets of states, as in ``from_transitions``.
             exact_costs: the fraction meant by a float cost such as 1/3; others mean their
                 shortest decimal. It decides the lattice of accumulated costs.
@@ -569,7 +569,7 @@ class SSP(Graph, ReadOnlyCopies):
                 of single precision; else 1e-9 is the limit.
 
         Raises:
-            ModelError: naming the state and the action at fault.
+            ModelError: the error names the wrong state and action.
         """
         pairs = read_only(_indices("pair_offsets", pair_offsets), np.int64)
         outcomes = read_only(_indices("outcome_offsets", outcome_offsets), np.int64)
@@ -619,22 +619,22 @@ class SSP(Graph, ReadOnlyCopies):
         return model
 
     def with_cost(self, name: str) -> SSP:
-        """The same model with another of its named costs as the one that counts.
+        """Return the same model with another of its named costs as its own.
 
         Raises:
-            ModelError: it has no cost of this name.
+            ModelError: the model has no cost of this name.
         """
         return replace(self, costs=self.cost_named(name))
 
     def with_parameters(self, **values: float) -> SSP:
-        """The same model with other values of its parameters.
+        """Return the same model with other values of its parameters.
 
         Args:
-            values: by name; the other parameters keep theirs.
+            values: by name; the other parameters keep their values.
 
         Raises:
-            ModelError: there is no such parameter, its value is no number, or a probability or a
-                cost is none then.
+            ModelError: an unknown parameter, a value that is no number, or a probability or cost
+                that is out of range for these values.
 
         Example: see :class:`ssp_lp.Parameter`.
         """
@@ -661,12 +661,12 @@ class SSP(Graph, ReadOnlyCopies):
         costs: Mapping[tuple[str, int], float],
         step: float,
     ) -> SSP:
-        """The same model with some of its numbers moved, unchecked.
+        """Return the same model with some of its numbers moved, unchecked.
 
         Args:
-            probabilities: by how much each moves for a step of 1, by outcome.
+            probabilities: derivative of each by the step, by outcome.
             costs: likewise, by name (of ``costs_by_name``) and outcome.
-            step: the length of the step.
+            step: length of the step.
         """
         chances, every = self.probabilities.copy(), dict(self.costs_by_name)
         for outcome, slope in probabilities.items():
@@ -680,10 +680,10 @@ class SSP(Graph, ReadOnlyCopies):
 
     @explained
     def with_labels(self, state_labels: Mapping[str, StateSet]) -> SSP:
-        """The same model with further names for sets of states, as in ``from_transitions``.
+        """Return the same model with further names for sets of states, as in ``from_transitions``.
 
         Raises:
-            ModelError: an unknown member, or a name that reports use for something else.
+            ModelError: an unknown member, or a name that reports use already.
 
         Example:
             >>> model = SSP.from_transitions({"a": {"go": [(1.0, "b", 1.0)]}}, goal={"b"})
@@ -695,35 +695,35 @@ class SSP(Graph, ReadOnlyCopies):
 
     @explained
     def with_dead_ends(self, dead_ends: DeadEnds | None) -> Self:
-        """The same model, once it is certain that it has no dead-ends besides these.
+        """Return the same model after checking that it has no other dead-ends than these.
 
         Args:
-            dead_ends: states from which no action reaches the goal, labels of states among them,
-                or a predicate on states; a string may also be the text of a state that is called
-                by numbers. None: nothing is checked.
+            dead_ends: states from which no action reaches the goal, or labels of states, or a
+                predicate on states; if states are numbered, a string is the text of a number. None:
+                nothing is checked.
 
         Raises:
-            ModelError: another state has no actions and is no goal, or the goal is reached from one
-                of these.
+            ModelError: another state has no actions and is not a goal, or the goal is reached from
+                one of these.
         """
         if dead_ends is not None:
             _check_idle_states(self, dead_ends, accept=False)
         return self
 
     def __dir__(self) -> list[str]:
-        """Public names of the model, for completion."""
+        """Return the public names of the model, for completion."""
         return [name for name in super().__dir__() if not name.startswith("_")]
 
     @property
     def costs_by_name(self) -> Mapping[str, FloatArray]:
-        """All costs, [outcomes] each, the model's own first: "cost" where it has no name."""
+        """All costs, [outcomes] each, the model's own first: "cost" if it has no name."""
         named = self.named_costs
         same = (n for n, c in named.items() if c is self.costs or np.array_equal(c, self.costs))
         own = next(same, "cost" if "cost" not in named else "own cost")
         return {own: self.costs, **{n: costs for n, costs in named.items() if n != own}}
 
     def cost_named(self, name: str) -> FloatArray:
-        """A cost by its name, [outcomes].
+        """Return a cost by its name, [outcomes].
 
         Raises:
             ModelError: the model has no cost of this name.
@@ -735,15 +735,15 @@ class SSP(Graph, ReadOnlyCopies):
 
     @cached_property
     def _index(self) -> Mapping[Hashable, int]:
-        """Positions of the model's states by their names."""
+        """Indices of the model's states by their labels."""
         return {label: i for i, label in enumerate(self.states)}
 
     def index_of(self, state: Hashable, place: str = "") -> int:
-        """Index of the model's state with this label.
+        """Return the index of the model's state with this label.
 
         Args:
             state: the label.
-            place: name, for the error, of the argument that holds it.
+            place: name of the argument with the label, for the error.
 
         Raises:
             ModelError: no state has the label.
@@ -755,23 +755,23 @@ class SSP(Graph, ReadOnlyCopies):
         return index
 
     def find(self, state: Hashable) -> int | None:
-        """Index of the model's state with this label, None if there is none."""
+        """Return the index of the model's state with this label, or None."""
         if isinstance(self.states, range):
             is_index = isinstance(state, (int, np.integer)) and state in self.states
             return int(cast("int", state)) if is_index else None
         try:
             return self._index.get(state)
-        except TypeError:  # a list, say
+        except TypeError:  # not hashable, such as a list
             return None
 
     def hint(self, state: Hashable) -> str:
-        """Clause for a model's errors: what may be meant by what is no state."""
+        """Return a clause for the error about an unknown state of a model."""
         if isinstance(self.states, range):
             return f": states are 0 .. {len(self.states) - 1}"
         return did_you_mean(state, self.states, "its states:")
 
     def places_of(self, state: Hashable) -> IntArray:
-        """All states of the model that a label stands for: here one, in a product several.
+        """Return all states of the model that a label stands for: one, in a product several.
 
         Raises:
             ModelError: no state has the label.
@@ -779,7 +779,7 @@ class SSP(Graph, ReadOnlyCopies):
         return np.array([self.index_of(state)])
 
     def action_of(self, pair: int) -> Hashable:
-        """Label of the action of a model's pair; :class:`ModelError` if there is none."""
+        """Return the label of the action of a model's pair; :class:`ModelError` if unknown."""
         try:
             return self.action_names[int(self.pair_action[pair])]
         except (IndexError, TypeError) as error:
@@ -787,11 +787,11 @@ class SSP(Graph, ReadOnlyCopies):
             raise ModelError(f"{pair!r} is no pair of the model: they are 0 .. {last}") from error
 
     def pairs_of(self, state: int) -> range:
-        """The model's pairs of a state."""
+        """Return the model's pairs of a state."""
         return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
 
     def pair_of(self, state: int, action: Hashable) -> int:
-        """The model's pair of a state and an action's label.
+        """Return the model's pair of a state and an action's label.
 
         Raises:
             ModelError: the state does not have the action.
@@ -802,38 +802,38 @@ class SSP(Graph, ReadOnlyCopies):
         raise ModelError(self.no_such_action(state, action))
 
     def no_such_action(self, state: int, action: Hashable) -> str:
-        """Error text for an action that a state of the model lacks: the nearest one, or some."""
+        """Return an error text for an action that a state lacks, with the nearest ones."""
         nearest = did_you_mean(action, map(self.action_of, self.pairs_of(state)), "it has")
         return f"state {self.states[state]!r} has no action {action!r}{nearest}"
 
     def describe_pair(self, pair: int) -> str:
-        """Name a pair of the model for a person: "action 'go' of state 'start'"."""
+        """Return a pair of the model in words: "action 'go' of state 'start'"."""
         state = int(np.searchsorted(self.pair_offsets, pair, side="right")) - 1
         return f"action {self.action_of(pair)!r} of state {self.states[state]!r}"
 
     def _describe_outcome(self, outcome: int) -> str:
-        """Name an outcome of the model for a person, by its pair."""
+        """Return the pair of an outcome of the model in words, for an error."""
         pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
         return self.describe_pair(pair)
 
     def of_all_states(self, made: FloatArray) -> FloatArray:
-        """What was made of each state's own pairs, for all states of the model, [states].
+        """Return an array computed for each state's own pairs, for all states, [states].
 
-        All pairs are in one place; where they are not, this brings their parts together.
+        Here the model has all pairs; a partitioned model joins its parts.
         """
         return made
 
     def staying_free(self, free: BoolArray) -> BoolArray:
-        """States of the model's end components of free pairs, [states].
+        """Return the states of the model's end components of free pairs, [states].
 
         Args:
-            free: pairs among which one may stay, [pairs].
+            free: mask of pairs by which a policy may stay, [pairs].
         """
         return np.asarray(end_components(self, free)[0] >= 0)
 
     @property
     def failure_label(self) -> FailureSSP | None:
-        """The model itself, where its states bear the label of failing; else None."""
+        """The model itself if its states bear the label of failing; otherwise None."""
         return None
 
     @property
@@ -847,32 +847,32 @@ class SSP(Graph, ReadOnlyCopies):
         }
 
     def __repr__(self) -> str:
-        """One line: the sizes."""
+        """Return a line with the sizes."""
         sizes = ", ".join(f"{count:,} {name}" for name, count in self._sizes.items())
         return f"{type(self).__name__}({sizes})"
 
     def _repr_html_(self) -> str:
-        """The model's sizes as a table, for notebooks."""
+        """Return the model's sizes as a table, for notebooks."""
         return Table([*self._sizes.items()], title=type(self).__name__).html()
 
     @cached_property
     def kept_facts(self) -> dict[str, Any]:
-        """Facts kept about the model's graph, by name (``ssp_lp.model.graph``)."""
+        """Stored facts about the model's graph, by name (``ssp_lp.model.graph``)."""
         return {}
 
 
 UNEXPLORED = "unexplored"
-"""Label of the states of an implicit model that were found, but not expanded, and of their ends."""
+"""Label of an implicit model's states that were found, but not expanded, and of their ends."""
 
 
 class NotExploredError(ModelError, AttributeError):
-    """Something needs every state of a model that is told by its successor function."""
+    """A function needs every state of an implicit model."""
 
 
 class ImplicitSSP(SSP):
-    """A model that is told by its successor function (:meth:`SSP.implicit`).
+    """A model given by its successor function (:meth:`SSP.implicit`).
 
-    Nothing of it is known before it is solved: what needs its arrays raises
+    Its states are unknown before it is solved: functions that need its arrays raise
     :class:`NotExploredError`.
     """
 
@@ -889,25 +889,25 @@ class ImplicitSSP(SSP):
         growth: float,
         is_vectorised: bool,
     ) -> None:
-        """Keep what :meth:`SSP.implicit` was given; ``bounds`` are of the cost and of failing."""
+        """Store the arguments of :meth:`SSP.implicit`; ``bounds`` are of cost and failure."""
         self.begin, self.expand, self.is_goal, self.labels = begin, expand, is_goal, labels
         self.bounds, self.cost, self.growth = bounds, cost, growth
         self.is_vectorised = is_vectorised
 
     def __getattr__(self, name: str) -> Any:
-        """Refuse what needs every state of the model.
+        """Reject attributes that need every state of the model.
 
         Raises:
             NotExploredError: always.
         """
         raise NotExploredError(
-            f"a model that is told by its successor function has no {name!r} as a whole: take "
+            f"an implicit model has no {name!r} before it is explored: take "
             "solution.problem.model, the part that solve explored, or build all of it, "
             "SSP.from_successors(...)"
         )
 
     def __repr__(self) -> str:
-        """Where the model begins, and which bounds it has."""
+        """Return a line with the first states of episodes and the given bounds."""
         names = zip(("cost_bound", "failure_bound"), self.bounds, strict=True)
         given = "".join(f", {name}=..." for name, bound in names if bound is not None)
         return f"SSP.implicit({', '.join(map(repr, self.begin[:2]))}, ...{given})"
@@ -916,7 +916,7 @@ class ImplicitSSP(SSP):
 
     @property
     def assumption(self) -> str:
-        """What an answer about the model assumes, in words; empty without bounds."""
+        """Assumption of every answer about the model, in words; empty without bounds."""
         words = ("no policy reaches the goal for less than cost_bound, given that it does",
                  "no policy fails less than failure_bound")  # fmt: skip
         given = zip(words, self.bounds, strict=True)
@@ -927,7 +927,7 @@ def check_model(model: object, verb: str) -> None:
     """Check that an argument is a model.
 
     Raises:
-        ModelError: a problem or something else; ``verb`` is what was to be done with it.
+        ModelError: a problem or something else; ``verb`` names the function that was called.
     """
     if not isinstance(model, SSP):
         hint = "; it has one: .model" if isinstance(getattr(model, "model", None), SSP) else ""
@@ -935,35 +935,35 @@ def check_model(model: object, verb: str) -> None:
 
 
 class FlatModel:
-    """States in the order in which they were found, and the flat lists of those expanded. Grows."""
+    """States in the order of finding, and flat lists of those expanded. Mutable."""
 
     def __init__(self, states: list[Any], cost: str | None, *, closed: bool = False) -> None:
         """Begin with some distinct states; closed: there are no others.
 
         Args:
-            states: that are listed.
-            cost: the name of the cost that counts, of several; None: the only one.
+            states: states that are known from the beginning.
+            cost: name of the cost that counts, of several; None: the only one.
         """
         self.states, self._closed, self._cost = states, closed, cost
         self._index = {state: i for i, state in enumerate(states)}
         lists = ("actions", "goal_states", "successors", "probabilities", "costs")
-        self.arrays: dict[str, Any] = {name: [] for name in lists}  # as ``from_arrays`` takes them
+        self.arrays: dict[str, Any] = {name: [] for name in lists}  # arguments of ``from_arrays``
         self.arrays |= {"states": states, "pair_offsets": [0], "outcome_offsets": [0]}
         self.arrays |= {"exact_costs": {}, "named_costs": {}, "parameters": {}}
 
     def place_of(self, state: Hashable) -> int:
-        """Position of a state in the model, a new one at the end where it was not found before."""
+        """Return the position of a state in the model; a new state is appended."""
         if (place := self._index.get(state)) is None:
             place = self._index[state] = len(self.states)
             self.states.append(state)
         return place
 
     def add(self, state: Hashable, actions: Any, *, goal: bool) -> None:
-        """Append a state's actions to the model and note new successors.
+        """Append a state's actions and new successors to the model.
 
         Raises:
-            ModelError: no actions, an outcome that is no triple, what is no number, or a state that
-                is not known of a closed model.
+            ModelError: no actions, an outcome that is no triple, an entry that is no number, or a
+                state that a closed model does not have.
         """
         if not isinstance(actions, Mapping):
             raise ModelError(
@@ -985,7 +985,7 @@ class FlatModel:
                 except TypeError as error:
                     raise ModelError(
                         f"action {action!r} of state {state!r} leads to {in_short(successor)}: a "
-                        f"state holds no {_UNHASHABLE}"
+                        f"state must not contain a {_UNHASHABLE}"
                     ) from error
                 if place is None:
                     if self._closed:
@@ -1019,13 +1019,13 @@ class FlatModel:
     def _place(
         self, expression: Affine, cost: str | None, state: Hashable, action: Hashable
     ) -> None:
-        """Remember that the next outcome's cost of this name depends on parameters of the model.
+        """Record that the next outcome's probability or cost depends on parameters of the model.
 
         Args:
-            expression: of which the number is the value.
-            cost: its name; None: it is the probability.
-            state: for the error.
-            action: likewise.
+            expression: expression whose value the number is.
+            cost: name of the cost; None: the number is the probability.
+            state: state of the outcome, for the error.
+            action: action of the outcome, for the error.
 
         Raises:
             ModelError: a parameter has another value elsewhere in the model.
@@ -1045,7 +1045,7 @@ class FlatModel:
                 known.costs[cost, outcome] = slope
 
     def _paid(self, cost: Any, state: Hashable, action: Hashable, name: str = "cost") -> float:
-        """A cost as a float; a fraction and parameters are remembered."""
+        """Return a cost as a float, recording a fraction and parameters."""
         if isinstance(cost, Affine):
             self._place(cost, name, state, action)
         paid = _number(cost, "cost", state, action)
@@ -1054,7 +1054,7 @@ class FlatModel:
         return paid
 
     def _paid_by_name(self, costs: Mapping[Any, Any], state: Hashable, action: Hashable) -> float:
-        """The cost that counts of an outcome, all of whose costs are remembered by name."""
+        """Return the cost of an outcome that counts, recording all its costs by name."""
         named: dict[str, list[float]] = self.arrays["named_costs"]
         where = f"action {action!r} of state {state!r}"
         if not self.arrays["costs"]:
@@ -1073,7 +1073,7 @@ class FlatModel:
 
 
 def csv_columns(path: str | PathLike[str]) -> dict[str, list[str | None]]:
-    """Columns of a model's CSV file, under the names of its first row; None for an empty cell.
+    """Return the columns of a model's CSV file by the names in its first row; None: empty cell.
 
     Raises:
         ModelError: the file is no text, or has no rows.
@@ -1091,7 +1091,7 @@ def csv_columns(path: str | PathLike[str]) -> dict[str, list[str | None]]:
 
 
 def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> float | Fraction | None:
-    """Number in a cell of a model's CSV file, a fraction where one is written."""
+    """Return the number in a cell of a model's CSV file, as a fraction if it is written as one."""
     try:
         return cell if cell is None else Fraction(cell) if "/" in cell else float(cell)
     except (ValueError, ZeroDivisionError) as error:
@@ -1102,10 +1102,10 @@ def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> floa
 
 
 def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
-    """A column of a table as Python's own values; of several columns tuples.
+    """Return a column of a table as Python's own values; of several columns, tuples.
 
     Raises:
-        ModelError: there is no such column, or a cell is empty.
+        ModelError: the column does not exist, or a cell is empty.
     """
     if not isinstance(names, str):
         return list(zip(*(_column(table, name) for name in names), strict=True))
@@ -1121,7 +1121,7 @@ def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
 
 
 def _checked_cells(column: Any, name: str) -> list[Any]:
-    """Cells of a table's column as Python's own values; :class:`ModelError` for an empty cell."""
+    """Return a column's cells as Python's own values; :class:`ModelError` for an empty cell."""
     cells = column.tolist() if hasattr(column, "tolist") else list(column)
     for row, cell in enumerate(cells):
         if isinstance(cell, np.generic):
@@ -1133,12 +1133,12 @@ def _checked_cells(column: Any, name: str) -> list[Any]:
 
 
 def _test_of(members: StateSet, name: str) -> Callable[[Any], Any]:
-    """What tells whether a state of a model belongs to a set, which may be such a function."""
+    """Return a predicate for membership of a state in a set, which may be a predicate itself."""
     return members if callable(members) else set(no_lone_string(members, name)).__contains__
 
 
 def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
-    """States of a model's argument; a lone string, whose letters they would be, is an error."""
+    """Return an argument's states, rejecting a lone string, which would be its letters."""
     if isinstance(states, (list, tuple)):
         for state in states:
             _check_hashable(state, name)
@@ -1150,17 +1150,17 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
 
 
 def _check_hashable(state: Any, where: str) -> None:
-    """Raise :class:`ModelError` for a state of a model's argument that cannot be one."""
+    """Raise :class:`ModelError` for an argument of a model that cannot be a state."""
     try:
         hash(state)
     except TypeError as error:
         raise ModelError(
-            f"{where}: {in_short(state)} cannot be a state, which holds no {_UNHASHABLE}"
+            f"{where}: {in_short(state)} cannot be a state, which must not contain a {_UNHASHABLE}"
         ) from error
 
 
 def _number(value: Any, what: str, state: Hashable, action: Hashable) -> float:
-    """Number of a model's outcome, as a float."""
+    """Return the number of a model's outcome, as a float."""
     if not isinstance(value, (str, bytes)):
         with suppress(TypeError, ValueError, OverflowError):
             return float(value)
@@ -1178,13 +1178,13 @@ def check_offsets(name: str, offsets: IntArray, end: int) -> None:
 
 
 def _check_costs(model: SSP, costs: FloatArray, name: str = "") -> None:
-    """Raise :class:`ModelError`, naming the first outcome at fault, unless costs can be paid."""
+    """Raise :class:`ModelError`, naming the first outcome at fault, for wrong costs."""
     paid = costs[:1] if costs.strides == (0,) else costs  # one number for all
     _check_numbers(model, paid, f"cost {name!r}" if name else "cost", f": {_NO_REWARDS}")
 
 
 def _checked_probabilities(model: SSP) -> FloatArray:
-    """Probabilities with unit sums of a model; :class:`ModelError` for these or costs at fault."""
+    """Return a model's probabilities with sums 1; :class:`ModelError` for wrong numbers."""
     _check_numbers(model, model.probabilities, "probability")
     for name, paid in model.costs_by_name.items():
         _check_costs(model, paid, name)
@@ -1205,11 +1205,11 @@ def _refuse_outcomes(model: SSP, broken: BoolArray, complaint: str) -> None:
 
 
 def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
-    """A model's probabilities with rounding of their sums (up to 1e-9) divided out, [outcomes].
+    """Return a model's probabilities, with rounding of their sums divided out, [outcomes].
 
     Args:
         model: the model.
-        normalise: divide out the rounding of single precision as well (up to 1e-5).
+        normalise: divide out deviations up to 1e-5 (single precision) instead of 1e-9.
 
     Raises:
         ModelError: a pair without outcomes, or whose probabilities do not sum to one.
@@ -1233,7 +1233,7 @@ def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
 
 
 def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
-    """Indices in a model as integers, of the width they have; :class:`ModelError` if none."""
+    """Return indices in a model as integers of their own type; :class:`ModelError` if none."""
     array = np.asarray(indices)
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise ModelError(f"{name} must be integers (indices)")
@@ -1241,14 +1241,14 @@ def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
 
 
 def _costs_of_outcomes(costs: npt.ArrayLike, outcome_offsets: IntArray) -> FloatArray:
-    """Costs of a model's outcomes, [outcomes]; a number for all of them takes no room.
+    """Return the costs of a model's outcomes, [outcomes]; one number takes no memory.
 
     Args:
         costs: one number, or one per pair, or one per outcome.
         outcome_offsets: [pairs + 1].
 
     Raises:
-        ModelError: they are of another length.
+        ModelError: costs of another length.
     """
     given = np.asarray(costs, dtype=np.float64)
     n_pairs, n_outcomes = len(outcome_offsets) - 1, int(outcome_offsets[-1])
@@ -1260,7 +1260,7 @@ def _costs_of_outcomes(costs: npt.ArrayLike, outcome_offsets: IntArray) -> Float
 
 
 def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) -> None:
-    """Check that a model's goals have no pairs, and which other states have none.
+    """Check that a model's goals have no pairs, and that other states without pairs are dead-ends.
 
     Args:
         model: the model.
@@ -1300,7 +1300,7 @@ def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) 
 
 
 def _dead_end_members(model: SSP, dead_ends: DeadEnds) -> IntArray:
-    """Indices of states that are listed as dead-ends of a model, by themselves or by labels.
+    """Return the indices of a model's states that are listed as dead-ends, or by labels.
 
     Raises:
         ModelError: an entry is neither a state nor a label.
@@ -1350,9 +1350,9 @@ _NO_DIGITS = str.maketrans("", "", "0123456789")
 
 
 def _with_a_letter_less(name: Any, least: int = 4) -> set[str]:
-    """A state's name without one of its letters, each in turn, and as it stands.
+    """Return a state's name, and the name without one of its letters, each in turn.
 
-    Nothing for what is no name, or so short that it resembles others anyway.
+    The set is empty for other types than text, and for names too short to be compared.
     """
     if not isinstance(name, str) or len(name) < least:
         return set()
@@ -1360,10 +1360,10 @@ def _with_a_letter_less(name: Any, least: int = 4) -> set[str]:
 
 
 def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
-    """Mask of a model's goal states from their indices, [states].
+    """Return the mask of a model's goal states from their indices, [states].
 
     Raises:
-        ModelError: there are none, or one is no index of a state.
+        ModelError: no index, or one that is no index of a state.
     """
     goals = np.asarray(goal_states).reshape(-1)
     if goals.size and not np.issubdtype(goals.dtype, np.integer):
@@ -1371,7 +1371,7 @@ def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
     goals = goals.astype(np.int64)
     if goals.size == 0:
         raise ModelError(
-            "the model has no goal state; name at least one (where surviving is all that counts, "
+            "the model has no goal state; name at least one (if only surviving counts, "
             "one that no action leads to: within_steps(model, 100, survive=True))"
         )
     if goals.min() < 0 or goals.max() >= n_states:
@@ -1384,7 +1384,7 @@ def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
 def _action_table(
     actions: Sequence[Hashable] | None, pair_offsets: IntArray
 ) -> tuple[Sequence[Hashable], IntArray]:
-    """Distinct action labels of a model and, per pair, the position of its label."""
+    """Return the distinct action labels of a model and, per pair, the position of its label."""
     n_pairs = int(pair_offsets[-1])
     if actions is None:
         counts = np.diff(pair_offsets)
@@ -1405,10 +1405,10 @@ def _action_table(
 
 
 def _indexed_labels(model: SSP, labels: Mapping[str, StateSet]) -> Mapping[str, IntArray]:
-    """State labels of a model with their members as sorted indices.
+    """Return the state labels of a model with their members as sorted indices.
 
     Raises:
-        ModelError: an unknown member, or a name that reports use for something else.
+        ModelError: an unknown member, or a name that reports use already.
     """
     indexed = {}
     for name, members in labels.items():
@@ -1419,7 +1419,7 @@ def _indexed_labels(model: SSP, labels: Mapping[str, StateSet]) -> Mapping[str, 
 
 
 def _members(model: SSP, name: str, members: StateSet) -> IntArray:
-    """Sorted indices of a set of a model's states, given by their labels or by a predicate.
+    """Return sorted indices of a set of a model's states, given by labels or by a predicate.
 
     Raises:
         ModelError: an unknown member, or a lone string.

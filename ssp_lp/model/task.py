@@ -1,9 +1,9 @@
-"""Tasks: what a run must do, as formulas of linear temporal logic over finite traces (LTLf).
+"""Tasks: requirements of a run, as formulas of linear temporal logic over finite traces (LTLf).
 
 The trace of a run has a position for each state: the labels of the state and, except at the last
 position, the action taken there. A formula is a tuple of its operator and its parts; negations
-stand at names only. It is followed by progression: after each position an obligation is left, what
-must hold from the next position on, kept as a set of alternatives, each a set of formulas.
+occur only at names. It is followed by progression: after each position an obligation remains, which
+must hold from the next position on; it is a set of alternatives, each a set of formulas.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _MOST_VALUES, _MOST_NAMES = 10_000, 62  # names are bits of a whole number
 
 
 class _Reader:
-    """A task's text, read token by token."""
+    """Reader of a task's text, token by token."""
 
     def __init__(self, text: str) -> None:
         self.text, self.place = text, 0
@@ -57,11 +57,11 @@ class _Reader:
         self.tokens.append(("end", "", len(text.rstrip())))
 
     def _error(self, told: str, position: int) -> ModelError:
-        """The error at a position of the text, which a caret shows."""
+        """Return the error at a position of the text, marked by a caret."""
         return ModelError(f"task: {told}\n  {self.text}\n  {' ' * position}^")
 
     def _takes(self, *signs: str) -> str:
-        """Step over the next token if it is one of some signs; else the answer is empty."""
+        """Consume the next token and return it if it is one of some signs; else return nothing."""
         kind, name, _ = self.tokens[self.place]
         if kind != "sign" or name not in signs:
             return ""
@@ -69,18 +69,18 @@ class _Reader:
         return name
 
     def whole(self) -> Formula:
-        """The formula of the text.
+        """Return the formula of the text.
 
         Raises:
             ModelError: the text is no formula.
         """
         formula = self._binary(0)
         if self.tokens[self.place][0] != "end":
-            raise self._error("an operator & | -> <-> U R expected", self.tokens[self.place][2])
+            raise self._error("expected an operator & | -> <-> U R", self.tokens[self.place][2])
         return _negated_at_names(formula)
 
     def _binary(self, level: int) -> Formula:
-        """A formula of binary operators of a level, or of one that binds more."""
+        """Return a formula of binary operators of this level or tighter ones."""
         if level == len(_LEVELS):
             return self._unary()
         left = self._binary(level + 1)
@@ -96,7 +96,7 @@ class _Reader:
         return left
 
     def _unary(self) -> Formula:
-        """A name, a constant, a formula in brackets, or one after an operator of its own."""
+        """Return a name, a constant, a formula in brackets, or one with a unary operator."""
         kind, name, position = self.tokens[self.place]
         if kind in ("word", "quoted"):
             self.place += 1
@@ -108,15 +108,15 @@ class _Reader:
             written = {"!": ("not", inner), "F": ("U", _TRUE, inner), "G": ("R", _FALSE, inner)}
             return written.get(sign, (sign, inner))
         if not self._takes("("):
-            raise self._error("a name, a bracket, or one of ! X N F G expected", position)
+            raise self._error("expected a name, a bracket, or one of ! X N F G", position)
         inner = self._binary(0)
         if not self._takes(")"):
-            raise self._error("a closing bracket expected", self.tokens[self.place][2])
+            raise self._error("expected a closing bracket", self.tokens[self.place][2])
         return inner
 
 
 def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
-    """A formula with its negations at names: not X f is N not f, not (f U g) is not f R not g."""
+    """Return a formula with negations at names only, by not X f = N not f and the like."""
     kind, *parts = formula
     if kind == "not":
         return _negated_at_names(parts[0], negated=not negated)
@@ -129,18 +129,18 @@ def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
 
 
 def _simplest(alternatives: Iterable[frozenset[Formula]]) -> Obligation:
-    """Alternatives without those that ask for more than another one: equal in one form."""
+    """Return the alternatives that contain no other one, so that equal obligations look equal."""
     every = frozenset(alternatives)
     return frozenset(a for a in every if not any(b < a for b in every))
 
 
 def _both(a: Obligation, b: Obligation) -> Obligation:
-    """What must hold for two obligations."""
+    """Return the conjunction of two obligations."""
     return _simplest(x | y for x in a for y in b)
 
 
 def _alternatives(formula: Formula) -> Obligation:
-    """A formula as an obligation, conjunctions and disjunctions taken apart."""
+    """Return a formula as an obligation, with conjunctions and disjunctions split."""
     if formula[0] in ("and", "or"):
         first, second = map(_alternatives, formula[1:])
         return _both(first, second) if formula[0] == "and" else _simplest(first | second)
@@ -150,12 +150,12 @@ def _alternatives(formula: Formula) -> Obligation:
 
 
 def _here(formula: Formula, seen: frozenset[str], go_on: bool) -> Obligation:
-    """What is left of a formula after a position.
+    """Return the obligation that remains of a formula after a position.
 
     Args:
-        formula: that must hold from the position on.
+        formula: must hold from the position on.
         seen: names that hold there.
-        go_on: whether there is a next position; else nothing but "met" or "broken" is left.
+        go_on: whether there is a next position; if not, the result is "met" or "broken".
     """
     kind, *parts = formula
     if kind in ("true", "false"):
@@ -176,7 +176,7 @@ def _here(formula: Formula, seen: frozenset[str], go_on: bool) -> Obligation:
 
 
 def _left(obligation: Obligation, seen: frozenset[str], go_on: bool = True) -> Obligation:
-    """What is left of an obligation after a position, as of :func:`_here`."""
+    """Return the obligation that remains of another one after a position, as :func:`_here`."""
     left = _BROKEN
     for alternative in obligation:
         every = _MET
@@ -187,7 +187,7 @@ def _left(obligation: Obligation, seen: frozenset[str], go_on: bool = True) -> O
 
 
 def _text(formula: Formula, inside: bool = False) -> str:
-    """A formula as it may be typed, in brackets inside another one if it is binary."""
+    """Return a formula as it may be typed, in brackets inside another one if it is binary."""
     kind, *parts = formula
     if kind in ("true", "false"):
         return str(kind)
@@ -204,7 +204,7 @@ def _text(formula: Formula, inside: bool = False) -> str:
 
 
 def _obligation_text(obligation: Obligation) -> str:
-    """An obligation as it may be typed."""
+    """Return an obligation as it may be typed."""
     inside = len(obligation) > 1
     texts = [
         " & ".join(sorted(_text(f, inside or len(each) > 1) for f in each)) for each in obligation
@@ -222,12 +222,12 @@ class Task:
         _ = self.formula
 
     def __repr__(self) -> str:
-        """What was called."""
+        """Return the call that makes the task."""
         return f"task({self.text!r})"
 
     @cached_property
     def formula(self) -> Formula:
-        """The formula, its negations at names.
+        """The formula, with its negations at names.
 
         Raises:
             ModelError: the text is no formula.
@@ -252,7 +252,7 @@ class Task:
         return tuple(found)
 
     def seen(self, model: SSP) -> tuple[IntArray, IntArray]:
-        """The names that hold, as sums of powers of two in the order of ``names``.
+        """Return the names that hold, as sums of powers of two in the order of ``names``.
 
         Args:
             model: the model.
@@ -264,7 +264,7 @@ class Task:
             ModelError: a name that is both a label and an action, or neither; or too many names.
         """
         if len(self.names) > _MOST_NAMES:
-            told = f"it has {len(self.names)} names, and at most {_MOST_NAMES} are told apart"
+            told = f"it has {len(self.names)} names, more than {_MOST_NAMES}"
             raise ModelError(f"{in_short(self)}: {told}: give several states one label")
         states = np.zeros(model.n_states, dtype=np.int64)
         actions = np.zeros(len(model.action_names), dtype=np.int64)
@@ -286,7 +286,7 @@ class Task:
         return states, states[model.pair_state] | actions[model.pair_action]
 
     def _read(self, letters: IntArray) -> list[frozenset[str]]:
-        """The names that hold by each letter, a sum of powers of two, [letters]."""
+        """Return the set of names for each letter, a sum of powers of two, [letters]."""
         return [
             frozenset(name for bit, name in enumerate(self.names) if letter >> bit & 1)
             for letter in letters.tolist()
@@ -294,7 +294,7 @@ class Task:
 
     @explained
     def automaton(self, model: SSP) -> Automaton:
-        """The automaton of the task on a model, which prints; its values are obligations.
+        """Return the automaton of the task on a model, whose values are obligations.
 
         Args:
             model: the model, whose labels and actions the task names.
@@ -307,7 +307,7 @@ class Task:
         return self.followed(model)[0]
 
     def followed(self, model: SSP) -> tuple[Automaton, BoolArray]:
-        """The automaton, and whether a trace that ends in a state satisfies the task.
+        """Return the automaton, and whether a trace that ends in a state satisfies the task.
 
         Returns:
             The automaton, and [values, states].
@@ -338,25 +338,26 @@ class Task:
         return automaton, read_only(np.array(ends, dtype=np.bool_)[:, by_state])
 
     def satisfied(self, product: TrackedSSP) -> BoolArray:
-        """Whether a trace that ends in a state of the product with the task satisfies it."""
+        """Return a mask of the product's states in which a trace that ends satisfies the task."""
         ends = self.followed(product.original)[1]
         return np.asarray(ends[product.labels.number, product.original_state])
 
 
 @explained
 def task(text: str) -> Task:
-    """A task: what a run must do, as a formula over labels of states and names of actions.
+    """Return a task: a requirement of runs, as a formula over labels of states and actions.
 
-    The operators, those that bind most first: ``! X N F G``, ``U R``, ``&``, ``|``, ``->``,
-    ``<->``. X f: there is a next position, and f holds there; N f: if there is one, f holds there;
-    F f: f holds now or later; G f: f holds now and always later; f U g: g holds now or later, and
-    f until then; f R g: g holds until f holds too, or to the end. Other names stand in quotes.
+    The operators, the tightest first: ``! X N F G``, ``U R``, ``&``, ``|``, ``->``, ``<->``. X f:
+    there is a next position, and f holds there; N f: if there is one, f holds there; F f: f holds
+    now or later; G f: f holds now and always later; f U g: g holds now or later, and f until then;
+    f R g: g holds up to and including the position where f holds, or to the end. Unusual names need
+    quotes.
 
     Args:
         text: the formula, such as ``"F key & (!door U key)"``.
 
     Raises:
-        ModelError: the text is no formula; a caret shows where.
+        ModelError: the text is no formula; a caret marks the error.
 
     Example:
         >>> task("F key & (!door U key)").names
@@ -367,10 +368,10 @@ def task(text: str) -> Task:
 
 @explained
 def reach(model: SSP, goal: Task, *, start: Iterable[Hashable]) -> TrackedSSP:
-    """The model whose goal is to satisfy a task.
+    """Return the product of a model with a task, whose goal is to satisfy the task.
 
-    A run ends at the first state at which its trace satisfies the task. The model's own goal ends
-    it too, as a failure if the task is not satisfied.
+    A run ends at the first state at which its trace satisfies the task. The model's own goal also
+    ends it, as a failure if the task is not satisfied.
 
     Args:
         model: the model.

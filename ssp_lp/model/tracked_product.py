@@ -1,8 +1,8 @@
 """The product of a model with an automaton that follows a run outcome by outcome.
 
-Limits on whole runs ("at most 10 units of fuel with 95 %", "the key before the door") depend on
-what happened on the way. An automaton with finitely many values keeps what they need; the product
-has the states (state, value) that a run can come to, and is built array by array.
+Limits on whole runs ("at most 10 units of fuel with 95 %", "the key before the door") depend on the
+history of a run. An automaton with finitely many values summarises it; the product has the states
+(state, value) that a run can reach, and is built array by array.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ _BUILDING = logging.getLogger("ssp_lp.building")
 
 @dataclass(frozen=True, eq=False)
 class Automaton(Report, ReadOnlyCopies):
-    """A finite automaton that reads the outcomes of a run and keeps one of several values."""
+    """A finite automaton that reads the outcomes of a run and remembers one of several values."""
 
-    name: str  # what it follows, in words
+    name: str  # the quantity or task that it follows, in words
     words: tuple[Hashable, ...]  # [values], all different
     letters: tuple[str, ...]  # [letters] in words
     moves: IntArray  # [values, letters] value after a letter is read
@@ -57,7 +57,7 @@ class Automaton(Report, ReadOnlyCopies):
         self.keep_read_only("moves", "letter", "begin")
 
     def edges(self) -> list[tuple[int, int, str]]:
-        """Moves of the automaton: from a value to a value, and the letters that lead there."""
+        """Return the automaton's moves: a value, the next one, and the letters between them."""
         return [
             (value, after, " or ".join(compress(self.letters, self.moves[value] == after)))
             for value in range(len(self.words))
@@ -65,12 +65,12 @@ class Automaton(Report, ReadOnlyCopies):
         ]
 
     def tables(self) -> list[Table]:
-        """The moves of the automaton, a row each."""
+        """Return a table of the automaton's moves."""
         rows = [(self.words[a], self.words[b], letters) for a, b, letters in self.edges()]
         return [Table(rows, ("value", "next", "after"), self.name, left=3)]
 
     def dot(self) -> str:
-        """The automaton as a graph in the language of Graphviz."""
+        """Return the automaton as a graph in the language of Graphviz."""
         quoted = [str(word).replace('"', "'") for word in self.words]
         edges = ((quoted[a], quoted[b], c) for a, b, c in self.edges())
         lines = [f'  "{a}" -> "{b}" [label="{letters}"]' for a, b, letters in edges]
@@ -82,18 +82,18 @@ class TrackedSSP(ProductSSP):
     """A model whose states are (state, value of an automaton); see :func:`track`."""
 
     automaton: Automaton = field(kw_only=True)
-    follows: object = field(kw_only=True)  # what the automaton was made for
+    follows: object = field(kw_only=True)  # limit or task of the automaton
 
     def first_memory(self, states: IntArray) -> IntArray:
-        """Number of the automaton's value with which episodes begin, [episodes]."""
+        """Return the index of the automaton's value with which episodes begin, [episodes]."""
         return self.automaton.begin[states]
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """States after steps; the automaton reads the outcome that a step stands for, [episodes].
+        """Return the states after steps; the automaton reads the outcome of each step, [episodes].
 
         Raises:
-            ModelError: the model has no such step, or its successor and its cost leave open which
-                outcome it was, and this matters.
+            ModelError: the model has no such step, or several outcomes have its successor and cost
+                but lead to different values.
         """
         model, automaton = self.original, self.automaton
         value, taken = self.labels.number[self.pair_state[pairs]], self.original_pair[pairs]
@@ -113,17 +113,17 @@ class TrackedSSP(ProductSSP):
                 raise ModelError(f"{told}: the model has no such step")
             raise ModelError(
                 f"{told} at cost {float(costs[k]):g}: outcomes with this successor and this cost "
-                f"differ in {automaton.name}: let them lead to different states, or differ in cost"
+                f"differ in {automaton.name}: give them different successors or different costs"
             )
         return self.at(successors, least)
 
 
 def followed_in(model: SSP, follows: object) -> tuple[TrackedSSP, IntArray] | None:
-    """The product with an automaton among those that a model is made of; None: there is none.
+    """Return the product with this automaton among those that a model is made of, or None.
 
     Args:
         model: a product of products.
-        follows: what the automaton was made for.
+        follows: limit or task of the automaton.
 
     Returns:
         The product, and its state for each state of the model, [states].
@@ -143,23 +143,23 @@ def track(
     begin: IntArray,
     succeeds: Callable[[IntArray, IntArray], BoolArray] | None = None,
 ) -> TrackedSSP:
-    """The product of a model with an automaton, from the states of the start.
+    """Return the product of a model with an automaton, from the states of the start.
 
     Args:
         model: the model.
-        automaton: that reads its outcomes.
-        follows: what the automaton was made for.
+        automaton: automaton that reads the model's outcomes.
+        follows: limit or task of the automaton.
         begin: states in which episodes may begin.
         succeeds: whether a run ends with success, by states and values, [entries]; None: at the
             model's goals.
 
     Raises:
-        ModelError: the model has too many states for so many values.
+        ModelError: states times values are too many.
     """
     n, size = model.n_states, len(automaton.words)
     if n * size > MOST_PLACES:
         raise ModelError(
-            f"{automaton.name}: {size:,} values on {n:,} states are too many to tell apart: lower "
+            f"{automaton.name}: {size:,} values on {n:,} states are too many: lower "
             "the bound, round the amounts to a coarser grid, or make the model smaller"
         )
     possible = np.flatnonzero(model.probabilities > 0.0)
@@ -167,11 +167,11 @@ def track(
     counts = np.diff(model.pair_offsets)
 
     def ends(value: IntArray, state: IntArray) -> BoolArray:
-        """Whether a run ends with success, [entries]."""
+        """Return whether a run ends with success, [entries]."""
         return model.goal_mask[state] if succeeds is None else succeeds(state, value)
 
     def steps(code: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
-        """Pairs by state, pairs, outcomes by pair, outcomes and ends out of some states."""
+        """Return the pairs by state, pairs, outcomes by pair, outcomes and ends of some states."""
         value, state = np.divmod(code, n)
         acting = np.where(ends(value, state), 0, counts[state])
         pairs = concatenated_ranges(model.pair_offsets[state], acting)

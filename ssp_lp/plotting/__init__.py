@@ -1,4 +1,4 @@
-"""Pictures of frontiers, policies, episodes, bounds and laws of costs, and a page to explore."""
+"""Plots of frontiers, policies, episodes, bounds and cost laws, and an interactive page."""
 
 from ssp_lp.plotting.curves import (
     BoundsRecord,

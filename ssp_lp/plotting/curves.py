@@ -1,7 +1,7 @@
-"""Pictures of curves and bars: frontiers, the bounds of a solve, laws of the total cost.
+"""Plots of curves and bars: frontiers, the bounds of a solve, laws of the total cost.
 
-The look of every picture is here, too: colours that all can tell apart, and a second sign beside
-each.
+The style of all plots is here, too: colours for all kinds of colour vision, each with a second
+distinguishing mark.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ INK, PALE = "#333333", "#777777"
 
 
 class _Look(NamedTuple):
-    """Look of one of several things in a picture: never told apart by its colour alone."""
+    """Style of one of several elements of a plot, which differ in more than colour."""
 
     colour: str
     line: str | tuple[int, tuple[int, ...]]
@@ -44,15 +44,15 @@ LOOKS = (
     _Look("#CC79A7", ":", "s", "xxxx"),
     _Look("#000000", (0, (5, 1, 1, 1, 1, 1)), "D", "||||"),
 )
-"""Okabe and Ito's colours, which people with any colour vision can tell apart."""
+"""Okabe and Ito's colours, which people with any colour vision can distinguish."""
 
 
 def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axes:
-    """Axes to draw a curve on: those given, or a new figure's of this size in inches.
+    """Return the axes to draw a curve on: the given ones, or those of a new figure of this size.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
-        ModelError: these are no axes.
+        ModelError: the argument is no axes.
     """
     if ax is not None and not hasattr(ax, "plot"):
         raise ModelError(f"ax must be axes of matplotlib, or None for a new figure, not {ax!r}")
@@ -64,7 +64,7 @@ def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axe
 
 
 def dress_axes(ax: Axes, x: str, y: str) -> None:
-    """Style the axes of a plotted curve: name both, leave out what says nothing."""
+    """Style the axes of a plotted curve: label both, and remove needless lines."""
     ax.set(xlabel=x, ylabel=y)
     ax.set_axisbelow(True)
     ax.grid(color="#e5e5e5", linewidth=0.6)
@@ -72,13 +72,13 @@ def dress_axes(ax: Axes, x: str, y: str) -> None:
 
 
 _BAND = "the optimum lies in here"
-_SAMPLES = 400  # budgets in all, shared out among the segments
-_VISIBLE = 2e-3  # of the height: a band that is narrower is a line
-_TANGENT = 0.4  # of the height: how far a tangent rises and falls
-_FINEST = 1e-5  # gap: five digits are shown at most
-_MARGIN = 0.05  # of the region that is shown, on each side
-_BESIDE = 1.5  # times as far as the budget is shown at least
-_MANY = 40  # turning points, beyond which each has a small marker
+_SAMPLES = 400  # budgets in all, divided among the segments
+_VISIBLE = 2e-3  # of the height: a narrower band is drawn as a line
+_TANGENT = 0.4  # of the height: rise and fall of a tangent
+_FINEST = 1e-5  # gap: at most five digits are shown
+_MARGIN = 0.05  # of the region shown, on each side
+_BESIDE = 1.5  # least width of the region shown, in budgets
+_MANY = 40  # turning points, beyond which markers are small
 
 
 @explained
@@ -93,20 +93,20 @@ def plot_frontier(
 ) -> Axes:
     """Draw the least objective against the failure budget, or another limit.
 
-    The line is what the lotteries over neighbouring turning points attain. Where tracing was cut
-    short, the optimum lies in the hatched band below it, down to what is proved
+    The line is the value of lotteries over neighbouring turning points. If tracing was cut short,
+    the optimum lies in the hatched band below it, down to the proved bound
     (:meth:`Frontier.bounds_at`, up to two pricing calls for each turning point). In case S a
     segment is no straight line: the objective is a ratio.
 
     Args:
-        frontier: from ``trace_frontier``.
-        budget: marked with its value, and with the tangent there, whose slope is that of the
+        frontier: result of ``trace_frontier``.
+        budget: budget to mark with its value, and with the tangent, whose slope is that of the
             optimum in the budget: minus the failure price in case M; both tangents at a turning
-            point. Where the frontier is not settled, with its bounds and without a tangent.
+            point. Where the frontier is not settled, it has its bounds and no tangent.
         ax: where to draw; None: a new figure.
-        label: of the line; None: its gap.
-        look: of the line, 0 .. 4, so that several can be told apart.
-        whole: show all of it; else a new figure shows the region around its bend and the budget.
+        label: label of the line; None: its gap.
+        look: style of the line, 0 .. 4, to distinguish several.
+        whole: show the whole frontier; otherwise a new figure shows its bend and the budget.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -134,7 +134,7 @@ def plot_frontier(
 
 
 def _show_region(ax: Axes, frontier: Frontier, budget: float | None) -> None:
-    """Show the part of a frontier that is worth looking at, and the budget in it."""
+    """Limit a plot to the frontier's bend and the budget."""
     first, last = frontier.region
     if budget is not None:
         last = max(last, min(first + _BESIDE * (budget - first), float(frontier.spent[-1])))
@@ -159,7 +159,7 @@ def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> Non
 
 
 def bounds_along(frontier: Frontier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Budgets along a frontier's curve, turning points included, with the optimum's bounds."""
+    """Return budgets along a frontier's curve, with turning points, and the optimum's bounds."""
     spent = frontier.spent
     each = max(_SAMPLES // len(spent), 4)
     segments = zip(spent[:-1].tolist(), spent[1:].tolist(), strict=True)
@@ -170,7 +170,7 @@ def bounds_along(frontier: Frontier) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
-    """Budgets along a plotted curve, dense on a linear and on a logarithmic axis."""
+    """Return budgets along a plotted curve, dense on a linear and on a logarithmic axis."""
     even = np.linspace(begin, end, count)
     if begin == 0.0:
         return even
@@ -192,7 +192,7 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
                 markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
         return
     digits = int(max(-np.log10(max(frontier.gap, _FINEST)), 2.0))
-    certain = float(f"{value:.{digits}g}")  # what the frontier's gap leaves sure
+    certain = float(f"{value:.{digits}g}")  # the digits that the gap leaves certain
     ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
             label=f"budget {budget:g}: {certain:.5g}")  # fmt: skip
     slopes = frontier.slopes_at(budget)
@@ -207,7 +207,7 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
 
 
 def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], slope: float) -> None:
-    """Draw the tangent through a point of the frontier's curve, as far as it stays beside."""
+    """Draw the tangent through a point of the frontier's curve, as far as it stays close."""
     budget, value = point
     height, spent = frontier.objective, frontier.spent
     room = _TANGENT * float(np.ptp(height)) / abs(slope) if slope else np.inf
@@ -219,7 +219,7 @@ def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], slop
 
 @dataclass
 class BoundsRecord:
-    """Record of the reports of ``solve`` while it runs: ``progress=BoundsRecord()``. Grows."""
+    """Record of the reports of ``solve`` while it runs: ``progress=BoundsRecord()``. Mutable."""
 
     began: float = field(default_factory=time.perf_counter)
     seconds: list[float] = field(default_factory=list)  # [reports] since then
@@ -227,7 +227,7 @@ class BoundsRecord:
     objectives: list[float] = field(default_factory=list)  # [reports] of the best policy so far
 
     def __call__(self, calls: int, price: float, objective: float) -> None:
-        """Keep one report."""
+        """Store a report."""
         self.seconds.append(time.perf_counter() - self.began)
         self.prices.append(price)
         self.objectives.append(objective)
@@ -237,21 +237,21 @@ class BoundsRecord:
 def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) -> Axes:
     """Plot the upper and lower bound of the optimum against seconds.
 
-    The upper bound is the objective of the best policy known by then; the lower one is what the
-    pricing calls made by then prove, each worked out once more at its price (and where accumulated
-    costs are capped, with the cap that a linear program would have); at the end, both as in
-    the solution. With limits beside the failure budget, and where no cost is minimised within a
-    budget, only the last lower bound is known.
+    The upper bound is the objective of the best policy so far; the lower one follows from the
+    pricing calls so far, each repeated at its price (and, if accumulated costs are capped, with the
+    cap of a linear program); at the end, both are those of the solution. With limits in addition to
+    the failure budget, and unless a cost is minimised within a budget, only the last lower bound is
+    known.
 
     Args:
-        record: that ``solve`` reported to.
-        solution: the ``Solution`` that this call handed back.
+        record: record of the reports of ``solve``.
+        solution: solution of that call.
         ax: where to draw; None: a new figure.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
         ModelError: a quantile or another measure of the law of costs, which is a search over
-            problems: what they report bounds none of it.
+            problems, whose reports do not bound the optimum.
 
     Example:
         >>> from ssp_lp import MCMP, SSP, solve
@@ -263,7 +263,7 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
         raise ModelError(f"plot_bounds takes a solution after its record, not {in_short(solution)}")
     if solution.problem.semantics.counts_law:
         name = type(solution.problem).__name__
-        raise ModelError(f"{name} is solved as a search over problems: nothing to draw but its end")
+        raise ModelError(f"{name} is solved as a search over problems: no bounds but at its end")
     ax = axes_or_new(ax)
     upper = np.minimum.accumulate([*record.objectives, solution.objective])
     lower = np.maximum.accumulate([*_proved_bounds(record, solution.problem), solution.lower_bound])
@@ -273,7 +273,7 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
     both = np.isfinite(lower) & np.isfinite(upper)
     ax.fill_between(seconds, lower, upper, where=both.tolist(), step="post", facecolor="none",
                     edgecolor="#bbbbbb", hatch="....", linewidth=0.0)  # fmt: skip
-    ax.set_xlim(left=float(seconds[0]))  # before the first report there is nothing to draw
+    ax.set_xlim(left=float(seconds[0]))  # no bounds before the first report
     dress_axes(ax, "seconds", "bounds on the objective")
     ax.legend(frameon=False)
     return ax
@@ -287,12 +287,12 @@ def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: _Look, 
 
 
 def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
-    """Lower bounds to be plotted, proved by reports' prices; -inf: unknown, [reports]."""
+    """Return the lower bounds to plot, proved at the reports' prices; -inf: unknown, [reports]."""
     budget, semantics = problem.failure_budget, problem.semantics
     if budget is None or problem.requirements.several_rows or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)
     pricing, row = problem.compile().for_program().pricing(), FailureRow(budget, problem.ratio)
-    best, proved = replace(pricing.first(), totals=None), []  # else its own values are taken
+    best, proved = replace(pricing.first(), totals=None), []  # otherwise its own values are used
     for price, objective in zip(record.prices, record.objectives, strict=True):
         slack = problem.ratio and price <= objective
         proved.append(row.lower_bound(pricing.prove(price, best, slack=slack)))
@@ -301,21 +301,21 @@ def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
 
 _BARS = 150
 _PALE = "#b5d6ea"  # behind lines
-_UNSEEN = 1e-3  # share of the successes that are costlier than what is drawn
+_UNSEEN = 1e-3  # share of the successes with greater costs than those drawn
 
 
 @explained
 def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -> Axes:
     """Plot the law of the total cost given success, its quantile and tail mean.
 
-    A bar is the probability of one cost, or, where there are too many, of an interval of costs.
-    The costliest share of ``1 - level`` is hatched: its mean is the conditional value at risk, and
+    A bar is the probability of one cost or, if there are too many, of an interval of costs. The
+    most expensive share of ``1 - level`` is hatched: its mean is the conditional value at risk, and
     the bar at the quantile belongs to it in part. At most a thousandth of the successes costs more
     than the last bar.
 
     Args:
-        law: from ``success_costs``.
-        level: of the quantile and of the tail, in [0, 1).
+        law: result of ``success_costs``.
+        level: level of the quantile and of the tail, in [0, 1).
         ax: where to draw; None: a new figure.
 
     Raises:
@@ -348,7 +348,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
 
 
 def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
-    """Bars of the plotted cost law: middles, probabilities given success, and width."""
+    """Return the bars of the plotted cost law: middles, probabilities given success, and width."""
     costs, masses = law.all_but(_UNSEEN * law.goal)
     shares = masses / law.goal
     if len(costs) <= 1:
@@ -364,15 +364,15 @@ def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
 def plot_tornado(
     effects: WhatIf, *, share: float = 0.1, most: int = 12, ax: Axes | None = None
 ) -> Axes:
-    """Draw how far each number of a problem moves the optimum, those that matter most on top.
+    """Draw the effect of each number of a problem on the optimum, those that matter most on top.
 
     A bar shows the change of the optimum, by its derivative on that side, when the number falls or
     rises by a share of its size; the size of a probability p is min(p, 1 - p).
 
     Args:
-        effects: from ``solution.what_if()``.
-        share: of the size.
-        most: numbers that are drawn at most.
+        effects: result of ``solution.what_if()``.
+        share: share of the size.
+        most: greatest number of numbers.
         ax: where to draw; None: a new figure.
 
     Raises:

@@ -1,8 +1,8 @@
-"""The explorer: a frontier as one page to play with, which needs neither a server nor a network.
+"""The explorer: a frontier as an interactive page, without a server or a network.
 
 A slider moves along the bound. Between two turning points the optimum is their lottery, drawn once
 at the start, so that every probability and expectation on the page is linear in its weight: all
-numbers are worked out here, at the turning points, and the page mixes two of them.
+numbers are computed here, at the turning points, and the page interpolates between two of them.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
 
 LARGEST = 3_000_000
-"""Bytes of a page: what is larger is slow to open."""
+"""Greatest number of bytes of a page: larger ones are slow to open."""
 
 _FEW, _BARS = 12, 60  # of the law of the total cost, least and most
-_UNSEEN = 1e-2  # share of the successes that are costlier than what is drawn
+_UNSEEN = 1e-2  # share of the successes with greater costs than those drawn
 _MOST_DRAWN = 40  # states of a model that is drawn as a graph
 _LONGEST = 300  # steps of a run that are drawn
-_NEVER = 1e-12  # a probability that is the rounding of none
+_NEVER = 1e-12  # a probability that is the rounding of 0
 _REACH = 0.42  # of a cell's side: length of an arrow
-_BESIDE, _FAN = 0.13, 0.5  # between a graph's arrows from state to state; of all of them at most
+_BESIDE, _FAN = 0.13, 0.5  # distance of a graph's arrows between two states; of all at most
 _LONG = 14  # characters of a name that is drawn
 _AROUND = 0.7  # beyond the middles of the outermost cells
-_SMALL = 0.36  # side of a square that stands for a state of a graph
-_SPREAD = 0.25  # of a cell's side: how far from its middle a run may be moved
+_SMALL = 0.36  # side of the square of a graph's state
+_SPREAD = 0.25  # of a cell's side: greatest offset of a run from its middle
 
 
 @dataclass(frozen=True)
 class Explorer:
-    """A page: write it to a file, or show it in a notebook."""
+    """A page to write to a file, or to show in a notebook."""
 
     page: str  # HTML
 
@@ -62,19 +62,19 @@ class Explorer:
         Path(path).write_text(self.page, encoding="utf-8")
 
     def _repr_html_(self) -> str:
-        """The page in a frame of its own, for notebooks."""
+        """Return the page in an HTML frame, for notebooks."""
         frame = 'width="100%" height="900" style="border: 0"'
         return f'<iframe srcdoc="{html.escape(self.page)}" {frame}></iframe>'
 
     def __repr__(self) -> str:
-        """One line."""
+        """Return a line with the size of the page."""
         return f"Explorer({len(self.page.encode()):,} bytes of HTML: write(path) keeps them)"
 
 
 def _check_page_name(path: str | Path) -> None:
-    """Raise :class:`ModelError` for the name of a file in which no browser looks for a page."""
+    """Raise :class:`ModelError` unless the file's name has an ending of web pages."""
     if Path(path).suffix not in (".html", ".htm"):
-        raise ModelError(f"a page is written as .html, not {str(path)!r}")
+        raise ModelError(f"a page's name must end in .html, not {str(path)!r}")
 
 
 @explained
@@ -88,22 +88,22 @@ def explore(
     episodes: int = 20,
     seed: int = 0,
 ) -> Explorer:
-    """A page on which a slider moves along a frontier.
+    """Return a page on which a slider moves along a frontier.
 
-    It shows the objective, the price, the lottery, how that fails, and the law of its cost; where
-    states have places, what it does in each, how often it is there, and sample runs; else, of a
-    small model, its graph. Everything is worked out at the turning points, each of which has its
-    policy evaluated: ``trace_frontier(point_limit=50)`` keeps the page small.
+    It shows the objective, the price, the lottery, its failures, and the law of its cost; if states
+    have places, also the decisions and visits in each, and sample runs; otherwise, for a small
+    model, its graph. All numbers are computed at the turning points, where the policies are
+    evaluated: ``trace_frontier(point_limit=50)`` keeps the page small.
 
     Args:
-        frontier: from ``trace_frontier``.
-        path: where to write the page; None: nowhere.
-        cells: the (x, y) of a state, the middle of a unit square; None: the state itself, where it
-            is a pair of numbers.
-        moves: the (dx, dy) that an action aims at; None: where it leads in the mean.
+        frontier: result of ``trace_frontier``.
+        path: file of the page; None: no file.
+        cells: the (x, y) of a state, the middle of a unit square; None: the state itself, if it is
+            a pair of numbers.
+        moves: the (dx, dy) of an action; None: its mean displacement.
         walls: middles of squares that are no states.
-        episodes: sample runs.
-        seed: of the runs.
+        episodes: number of sample runs.
+        seed: seed of the runs.
 
     Raises:
         ModelError: no frontier of a problem, or a page that would be too large.
@@ -144,7 +144,7 @@ def explore(
     page = _page(frontier, data)
     if len(page.encode()) > LARGEST:
         raise ModelError(
-            f"a page of {len(page.encode()):,} bytes is too large to open with ease: trace the "
+            f"a page of {len(page.encode()):,} bytes is too large to open quickly: trace the "
             "frontier with a smaller point_limit"
         )
     explorer = Explorer(page)
@@ -154,7 +154,7 @@ def explore(
 
 
 def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any]:
-    """What is told of each turning point."""
+    """Return the data of each turning point."""
     names = list(dict.fromkeys(name for found in evaluations for name in found.ends))
     names = [
         name for name in names if any(found.ends.get(name, 0.0) > _NEVER for found in evaluations)
@@ -191,9 +191,9 @@ def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any
 def _laws(
     policies: list[MixedPolicy], problem: Problem, in_region: BoolArray
 ) -> dict[str, Any] | None:
-    """How likely each total cost is together with success, in bars that all points share.
+    """Return the probability of each total cost and success, in bars common to all points.
 
-    None where the goal is never reached, or costs are too many to follow.
+    None if the goal is never reached, or costs are too many.
     """
     try:
         laws = [success_costs(policy, problem) for policy in policies]
@@ -216,17 +216,17 @@ def _laws(
 
 
 def _short(numbers: FloatArray) -> list[float]:
-    """Numbers that are drawn, with as many digits as a picture shows."""
+    """Return numbers rounded to the digits that the page shows."""
     return [float(f"{x:.6g}") for x in numbers.tolist()]
 
 
 def _are_points(model: SSP) -> bool:
-    """Whether most states are pairs of numbers: places in the plane."""
+    """Return whether most states are pairs of numbers: places in the plane."""
     return sum(map(_is_point, model.states)) > 0.5 * model.n_states
 
 
 def _is_point(state: object) -> bool:
-    """Whether a state is a pair of numbers."""
+    """Return whether a state is a pair of numbers."""
     return (
         isinstance(state, tuple)
         and len(state) == 2
@@ -235,7 +235,7 @@ def _is_point(state: object) -> bool:
 
 
 def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
-    """Where each state is drawn, nan where nowhere, [states, 2]; None: the model is too large."""
+    """Return the position of each state, nan for none, [states, 2]; None: too large a model."""
     model = problem.model
     if cells is not None:
         return cells_of(model, cells)
@@ -245,12 +245,12 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
 
 
 def _placed(points: FloatArray) -> BoolArray:
-    """Which states lie somewhere, [states]."""
+    """Return a mask of the states with a position, [states]."""
     return np.asarray(~np.isnan(points).any(axis=1))
 
 
 def _layout(problem: Problem) -> FloatArray:
-    """States of a small model by how many steps they are from the start, [states, 2]."""
+    """Return positions of a small model's states by distance from the start, [states, 2]."""
     model = problem.model
     begun = np.flatnonzero(start_distribution(model, problem.start) > 0.0)
     rows = segment_ids(model.pair_offsets)[segment_ids(model.outcome_offsets)]
@@ -273,15 +273,15 @@ def _plane(
     *,
     is_graph: bool,
 ) -> dict[str, Any]:
-    """Visits of each place, and how much goes along each arrow, at each turning point."""
+    """Return the visits of each place, and the flow along each arrow, at each turning point."""
     model, known = problem.model, _placed(points)
     middles, inverse = np.unique(points[known], axis=0, return_inverse=True)
     place = np.full(model.n_states, -1)
     place[known] = inverse.reshape(-1)
     owner, outcome_pair = segment_ids(model.pair_offsets), segment_ids(model.outcome_offsets)
     source = owner[outcome_pair]
-    # an arrow for each action's way from state to state in a graph, else one for each action, as
-    # told or where it leads in the mean
+    # in a graph an arrow for each action and successor, otherwise one for each action, as given or
+    # along its mean displacement
     to = place[model.successors] if is_graph else place[source]
     if moves is None or is_graph:
         aim = points[model.successors] - points[source]
@@ -306,7 +306,7 @@ def _plane(
     toward = mean / np.hypot(*mean.T)[:, None]
     begin, end = middles[arrows[:, 0]], middles[arrows[:, 0]] + _REACH * toward
     if is_graph:
-        # what goes back takes the other side; actions between two states lie beside each other
+        # arrows back take the other side; actions between two states are drawn side by side
         _, way, count = np.unique(arrows[:, :2], axis=0, return_inverse=True, return_counts=True)
         way = way.reshape(-1)
         rank = np.arange(len(arrows)) - np.searchsorted(way, way)
@@ -328,13 +328,13 @@ def _plane(
 def _runs(
     policies: list[MixedPolicy], problem: Problem, points: FloatArray, episodes: int, seed: int
 ) -> dict[str, Any]:
-    """Sample runs at each turning point, as numbers of states."""
+    """Return sample runs at each turning point, as numbers of states."""
     model, marks = problem.model, end_marks(problem.model)
     words = ["goal", *model.state_labels, "dead-end", "gave up, or goes on"]
     placed = _placed(points)
 
     def told(path: IntArray) -> dict[str, Any]:
-        """One run."""
+        """Return the data of a run."""
         mark = int(marks[int(path[-1])])
         steps = path[placed[path]][:_LONGEST]
         return {"path": steps.tolist(), "goal": mark == 0, "end": words[mark]}
@@ -351,7 +351,7 @@ def _runs(
 def _ground(
     problem: Problem, points: FloatArray, walls: list[Point], *, is_graph: bool
 ) -> dict[str, Any]:
-    """Places with goals, dead-ends, walls and the start; the states' names in a graph."""
+    """Return the places of goals, dead-ends, walls and the start, and names in a graph."""
     known = _placed(points)
     everything = np.vstack([points[known], *np.array(walls, dtype=float).reshape(-1, 2)])
     limits = [everything.min(axis=0) - _AROUND, everything.max(axis=0) + _AROUND]
@@ -368,7 +368,7 @@ def _ground(
 
 
 def _page(frontier: Frontier, data: dict[str, Any]) -> str:
-    """The page as HTML."""
+    """Return the page as HTML."""
     problem = frontier.problem
     title = f"{type(problem).__name__}: {'objective' if frontier.maximises else 'least cost'}"
     title = f"{title} against {frontier.axis}"

@@ -1,4 +1,4 @@
-"""Pictures in the plane: what a policy does cell by cell, and episodes as paths."""
+"""Plots in the plane: a policy's decisions by cell, and episodes as paths."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ Point = tuple[float, float]
 """(x, y), y upwards."""
 
 Places = Mapping[Any, Point] | Callable[[Any], Point | None]
-"""State or action -> a point, or none: a mapping without the key, or a function that says None."""
+"""State or action -> point: a mapping, or a function that may return None."""
 
 
 @explained
 def row_major(rows: int, columns: int) -> Callable[[int], Point]:
-    """Points in the plane of cells numbered row by row from the upper left corner, from 0.
+    """Return the map to the plane of cells numbered row by row from the upper left corner, from 0.
 
     Args:
-        rows: how many there are.
-        columns: likewise.
+        rows: number of rows.
+        columns: number of columns.
 
     Raises:
-        ModelError: one of them is no whole number >= 1.
+        ModelError: a number that is no whole number >= 1.
 
     Example:
         >>> place = row_major(4, 4)  # FrozenLake-v1
@@ -52,7 +52,7 @@ def row_major(rows: int, columns: int) -> Callable[[int], Point]:
 
     @explained
     def place(number: int) -> Point:
-        """Where the cell of a number lies."""
+        """Return the position of the cell with a number."""
         row, column = divmod(number, columns)
         return column, rows - 1 - row
 
@@ -60,10 +60,10 @@ def row_major(rows: int, columns: int) -> Callable[[int], Point]:
 
 
 def points_of(names: Iterable[Hashable], places: Places) -> FloatArray:
-    """Points in the plane of states or actions; nan where there is none, [names, 2].
+    """Return the points of states or actions in the plane; nan for those without, [names, 2].
 
     Raises:
-        ModelError: what is given for one is no point.
+        ModelError: a value that is no point.
     """
     look_up = places.get if isinstance(places, Mapping) else places
     points = []
@@ -76,19 +76,19 @@ def points_of(names: Iterable[Hashable], places: Places) -> FloatArray:
 
 
 def cells_of(model: SSP, cells: Places) -> FloatArray:
-    """Point in the plane of each state, [states, 2].
+    """Return the point of each state in the plane, [states, 2].
 
     Raises:
-        ModelError: no state has a point, or what is given for one is no point.
+        ModelError: no state has a point, or a value is no point.
     """
     points = points_of(model.states, cells)
     if np.isnan(points).all():
-        raise ModelError(f"no state has a point: they are such as {model.states[0]!r}")
+        raise ModelError(f"no state has a point: a state is, for instance, {model.states[0]!r}")
     return points
 
 
 def size_of(points: FloatArray, walls: Iterable[Point]) -> tuple[float, float]:
-    """Width and height in inches of a plane picture of these cells."""
+    """Return the width and height in inches of a plane picture of these cells."""
     everything = np.vstack([points, np.array([*walls, (np.nan, np.nan)], dtype=np.float64)])
     extent = np.nanmax(everything, axis=0) - np.nanmin(everything, axis=0) + 2.0 * _MARGIN
     side = np.clip(_WIDEST / extent.max(), *_SIDES)
@@ -96,7 +96,7 @@ def size_of(points: FloatArray, walls: Iterable[Point]) -> tuple[float, float]:
     return max(width, _NARROWEST), height + _LEGEND
 
 
-_WIDEST, _NARROWEST, _LEGEND = 6.0, 3.2, 1.0  # inches: a picture's sides, what a legend takes
+_WIDEST, _NARROWEST, _LEGEND = 6.0, 3.2, 1.0  # inches: sides of a picture, size of a legend
 _SIDES = 0.25, 0.55  # inches: of a cell, least and most
 
 
@@ -104,9 +104,9 @@ def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[
     """Draw walls, dead-ends, goals and the start as unit squares, and a frame around other cells.
 
     Args:
-        ax: where to draw.
-        problem: says the model and the start.
-        points: of the model's states, nan where there is none, [states, 2].
+        ax: axes to draw on.
+        problem: problem with the model and the start.
+        points: points of the model's states, nan for those without, [states, 2].
         walls: middles of squares that are no states.
     """
     patches = optional_module("matplotlib.patches", "plot")
@@ -135,9 +135,9 @@ def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[
 def squares_of(
     problem: Problem, points: FloatArray
 ) -> tuple[set[Point], set[Point], set[Point], set[Point]]:
-    """The middles of free cells, dead-ends, goals, and of those where an episode may begin.
+    """Return the middles of free cells, dead-ends, goals, and of cells where episodes may begin.
 
-    Where several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
+    If several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
     """
     model, goal = problem.model, problem.model.goal_mask
     dead, begin = dead_ends(model) & ~goal, start_distribution(model, problem.start) > 0.0
@@ -147,11 +147,11 @@ def squares_of(
 
 
 def _distinct_cells(points: FloatArray) -> set[Point]:
-    """Distinct points of cells in the plane."""
+    """Return the distinct points of cells in the plane."""
     return {(x, y) for x, y in points[~np.isnan(points).any(axis=1)].tolist()}
 
 
-_INNER = 0.9  # side of the square that marks the start
+_INNER = 0.9  # side of the square of the start
 _MARGIN = 0.55  # from the middle of a cell at the rim
 _FREE = {"facecolor": "none", "edgecolor": "#d0d0d0", "linewidth": 0.5}
 _DEAD_END = {"facecolor": "#f3d9c9", "edgecolor": "#D55E00", "hatch": "xxxx", "linewidth": 0.6}
@@ -165,7 +165,7 @@ _BELOW_TICKS = 0.12  # of the height: room for ticks and their label
 
 
 def add_legend(ax: Axes) -> None:
-    """Put a legend below the plane's picture and its ticks, where it hides nothing."""
+    """Put a legend below the plot and its ticks."""
     if count := len(ax.get_legend_handles_labels()[0]):
         figure = ax.get_figure(root=True)
         width = 0.0 if figure is None else ax.get_position().width * figure.get_figwidth()
@@ -177,16 +177,16 @@ def add_legend(ax: Axes) -> None:
 
 
 _SHADES = ("#ffffff", "#6baed6")  # light enough for dark arrows
-_RARE = 0.02  # of a cell's visits: an action that is taken less often has no arrow
-_UNSEEN = 1e-6  # expected visits: a cell with fewer has none at all
+_RARE = 0.02  # of a cell's visits: rarer actions have no arrow
+_UNSEEN = 1e-6  # expected visits: a cell with fewer is drawn without
 _LONGEST = 0.46  # of a cell's side, from its middle
 _SHORTEST = 0.75  # of the longest: an arrow for a small share
-_RING = 0.08  # radius of what marks several actions
+_RING = 0.08  # radius of the mark of several actions
 _SCALE = 1.0  # inches, of the scale of shades
 
 
 class _Seen(NamedTuple):
-    """Visits and decisions seen in the plane's cells."""
+    """Visits and decisions by cell."""
 
     points: FloatArray  # [states, 2]
     middles: FloatArray  # [cells, 2]
@@ -207,20 +207,21 @@ def plot_grid_policy(
 ) -> Axes:
     """Plot a policy's decisions in the plane, cells shaded by expected visits.
 
-    A cell with one action has one arrow. Where there are several, by a lottery, by chance or by
-    what is remembered, the cell is marked by a ring, and each has an arrow from it, the longer
-    the greater its share of the visits. An action without a direction is a dot; giving up is a
-    cross. Walls, dead-ends and goals are drawn as far as they have a cell.
+    A cell with one action has one arrow. If there are several, by a lottery, by chance or by
+    memory, the cell is marked by a ring, and each has an arrow from it, whose length grows with its
+    share of the visits. An action without a direction is a dot; giving up is a cross. Walls,
+    dead-ends and goals are drawn if they have a cell.
 
     Args:
         policy: any policy on the problem's model.
-        problem: says the start.
-        cells: the (x, y) of a state, the middle of a unit square; states at the same one are
-            added up, and states without one (another memory, say) are left out.
-        moves: the (dx, dy) that an action aims at.
+        problem: problem with the start.
+        cells: the (x, y) of a state, the middle of a unit square; states at the same point are
+            added up (such as those with different memories), and states without a point are
+            omitted.
+        moves: the (dx, dy) of an action.
         walls: middles of squares that are no states.
-        most_visits: what the darkest shade stands for; None: the most in the picture.
-        ax: where to draw; None: a new figure.
+        most_visits: visits of the darkest shade; None: the most in the plot.
+        ax: axes to draw on; None: a new figure.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -244,7 +245,7 @@ def plot_grid_policy(
 def _draw_visited_cells(
     ax: Axes, problem: Problem, seen: _Seen, walls: list[Point], moves: Places, most: float
 ) -> Any:
-    """Draw a policy's cells in the plane with a legend; what a scale of shades needs."""
+    """Draw a policy's cells in the plane with a legend; return the data of a scale of shades."""
     draw_ground(ax, problem, seen.points, walls)
     names = ("collections", "colors", "patches")
     collections, colors, patches = (optional_module(f"matplotlib.{name}", "plot") for name in names)
@@ -275,15 +276,15 @@ def plot_lottery(
     """Plot the members of a lottery in the plane side by side, on one scale of shades.
 
     Args:
-        policy: a lottery; each picture's title says its member's share.
-        problem: says the start.
-        cells: as for :func:`plot_grid_policy`.
-        moves: likewise.
-        walls: likewise.
+        policy: a lottery; each plot's title has its member's share.
+        problem: problem with the start.
+        cells: as in :func:`plot_grid_policy`.
+        moves: as in :func:`plot_grid_policy`.
+        walls: as in :func:`plot_grid_policy`.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
-        ModelError: as for :func:`plot_grid_policy`.
+        ModelError: as in :func:`plot_grid_policy`.
     """
     pyplot, count = optional_module("matplotlib.pyplot", "plot"), len(policy.policies)
     members, walls = [_visits_on_grid(one, problem, cells) for one in policy.policies], list(walls)
@@ -299,7 +300,7 @@ def plot_lottery(
 
 
 def _visits_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Places) -> _Seen:
-    """Visits and decisions of a policy in the plane, by cell."""
+    """Return the visits and decisions of a policy in the plane, by cell."""
     model, points = problem.model, cells_of(problem.model, cells)
     pairs, gave_up = pair_visits(as_lottery(policy), problem)
     placed = ~np.isnan(points).any(axis=1)
@@ -347,23 +348,23 @@ def _draw_decisions(ax: Axes, seen: _Seen, directions: FloatArray) -> None:
                     markeredgecolor=INK, label=words)  # fmt: skip
 
 
-_SPREAD = 0.3  # of a cell's side: how far from its middle a path may be moved
+_SPREAD = 0.3  # of a cell's side: greatest offset of a path from its middle
 
 
 @explained
 def plot_paths(
     paths: Sequence[Any], ends: Sequence[str], *, order: Sequence[str] = (), ax: Axes | None = None
 ) -> Axes:
-    """Plot paths in the plane; each way to end has its colour, line and marker.
+    """Plot paths in the plane; each end of a path has its colour, line and marker.
 
-    The first way is drawn palely and beneath the others, so that the exceptions stand out.
+    The first kind of end is drawn palely and beneath the others, so that the exceptions stand out.
 
     Args:
         paths: an array [points, 2 or more] each; the first two columns are x and y.
-        ends: how each path ends, in words for the legend, [paths].
-        order: the ways to end, so that they look the same in several pictures; those that are not
-            listed follow by how many paths end so.
-        ax: where to draw; None: a new figure.
+        ends: end of each path, as words for the legend, [paths].
+        order: the ends in an order, so that they look the same in several plots; others follow by
+            their number of paths.
+        ax: axes to draw on; None: a new figure.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -408,17 +409,17 @@ def plot_episodes(
 ) -> Axes:
     """Plot simulated episodes in the plane over walls, dead-ends and goals.
 
-    Each path keeps its own small distance from the middles of the cells, so that none hides the
-    others. States without a cell are left out of a path.
+    Each path has a small offset from the middles of the cells, so that none hides the others.
+    States without a cell are left out of a path.
 
     Args:
         policy: any policy on the problem's model.
-        problem: says the start.
+        problem: problem with the start.
         cells: the (x, y) of a state, the middle of a unit square.
-        episodes: how many to draw.
-        seed: a number or a generator, of the episodes and of the distances.
+        episodes: number of episodes.
+        seed: a number or a generator, for the episodes and the offsets.
         walls: middles of squares that are no states.
-        ax: where to draw; None: a new figure.
+        ax: axes to draw on; None: a new figure.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -432,7 +433,7 @@ def plot_episodes(
     fails = (f"fail: {name}" for name in (*model.state_labels, "dead-end"))
     words = ["reach the goal", *fails]
     ends = [words[m] if (m := marks[int(p[-1])]) >= 0 else "give up or go on" for p in played]
-    placed = np.asarray(~np.isnan(points).any(axis=1))  # what lies nowhere is left out
+    placed = np.asarray(~np.isnan(points).any(axis=1))  # states without a point are left out
     paths = [points[p[placed[p]]] + shift for p, shift in zip(played, aside, strict=True)]
     draw_ground(ax, problem, points, walls)
     return plot_paths(paths, ends, order=words, ax=ax)

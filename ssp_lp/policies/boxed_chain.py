@@ -1,4 +1,4 @@
-"""The chain of a policy whose probabilities nature chooses, each decision's within its box."""
+"""The chain of a policy whose probabilities nature chooses, within the box of each decision."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import Policy
 
 MOST_ROUNDS = 1_000
-"""Rounds of policy iteration before it counts as a failure: it takes some ten."""
+"""Greatest number of rounds of policy iteration; it usually takes about ten."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class BoxedChain:
 
     @cached_property
     def share(self) -> FloatArray:
-        """Probability of the decision that a move belongs to, [moves]."""
+        """Probability of the decision to which a move belongs, [moves]."""
         shares = segment_sums(self.chain.probability, self.offsets)
         return np.asarray(shares[segment_ids(self.offsets)])
 
@@ -43,12 +43,12 @@ class BoxedChain:
 
     @property
     def is_exact(self) -> bool:
-        """Whether no pair is taken at two nodes, where nature might choose differently."""
+        """Whether each pair is taken at one node only, so that nature chooses once."""
         first = self.chain.outcome[self.offsets[:-1]]
         return len(np.unique(first)) == len(first)
 
     def at(self, chosen: FloatArray, inside: BoolArray) -> Chain:
-        """The chain by chosen probabilities, [moves], with the moves out of some nodes only."""
+        """Return the chain with chosen probabilities, [moves] and moves out of some nodes."""
         chain = self.chain
         used = (chosen > 0.0) & inside[chain.source]
         return replace(
@@ -61,7 +61,7 @@ class BoxedChain:
         )
 
     def staying(self, inside: BoolArray) -> BoolArray:
-        """Greatest set of nodes that nature never has to leave, within some, [nodes].
+        """Return the greatest subset of nodes that nature can stay in for ever, [nodes].
 
         Nodes without moves are never left.
         """
@@ -71,7 +71,7 @@ class BoxedChain:
         return kept
 
     def _keeping(self, within: BoolArray) -> BoolArray:
-        """Nodes at which nature can take moves of a set for sure, [nodes]."""
+        """Return the nodes at which nature can choose moves of a set with certainty, [nodes]."""
         forced = segment_sums(np.where(within, 0.0, self.low), self.offsets) > 0.0
         room = segment_sums(np.where(within, self.high, 0.0), self.offsets)
         keeping = np.ones(self.chain.n_nodes, dtype=np.bool_)
@@ -80,9 +80,9 @@ class BoxedChain:
         return keeping
 
     def collects_for_ever(self, reward: FloatArray, inside: BoolArray) -> bool:
-        """Whether nature can collect a reward again and again within some nodes.
+        """Return whether nature can collect a reward infinitely often within some nodes.
 
-        It can where an end component of nature's choices has a move with a reward.
+        It can if an end component of nature's choices has a move with a reward.
 
         Args:
             reward: >= 0, [moves].
@@ -111,20 +111,21 @@ class BoxedChain:
         at_stop: FloatArray | float = 0.0,
         claim: FloatArray | float = 0.0,
     ) -> FloatArray:
-        """Greatest expected total reward from each node that nature can make of a policy, [nodes].
+        """Return the greatest expected total reward from each node over nature's choices, [nodes].
 
         Nature's policy iteration (Puterman, Markov Decision Processes, 1994, section 7.2): rewards
-        are not negative, so that it ends at the optimum if a choice is changed only for more.
+        are not negative, so that it ends at the optimum if a choice is changed for a strict gain
+        only.
 
         Args:
             reward: of moves out of nodes inside, >= 0, never collected for ever, [moves].
-            at_end: worth of coming to a node outside, >= 0, [nodes].
+            at_end: worth of reaching a node outside, >= 0, [nodes].
             inside: nodes at which the run goes on, [nodes].
             at_stop: worth of giving up, >= 0, [nodes].
-            claim: worth for which nature may end the run at a node inside, >= 0, [nodes].
+            claim: worth of ending the run at a node inside, if nature prefers that, >= 0, [nodes].
 
         Raises:
-            SolverError: nature's choices do not settle.
+            SolverError: nature's choices do not converge.
         """
         chain, offsets, n = self.chain, self.offsets, self.chain.n_nodes
         claimed = np.where(inside, claim, 0.0)
@@ -153,12 +154,12 @@ class BoxedChain:
                 return values
             chosen = np.where(better[decision], best, chosen)
             stops = stops ^ turned
-        raise SolverError("nature's choices within the boxes do not settle")
+        raise SolverError("nature's choices within the boxes do not converge")
 
     def failing(self) -> FloatArray:
-        """Greatest probability of never reaching the goal from each node, [nodes].
+        """Return the greatest probability of never reaching the goal from each node, [nodes].
 
-        Where nature can avoid the goal it is 1; from elsewhere every choice comes to an end.
+        It is 1 at nodes where nature can avoid the goal; from all others every choice ends the run.
         """
         missed = self.chain.goal == 0.0
         lost = self.staying(missed)
@@ -170,8 +171,8 @@ def boxed_chain(boxes: Boxes, policy: Policy, start: FloatArray) -> BoxedChain:
     """Follow a policy along all outcomes that boxes allow.
 
     Args:
-        boxes: of the policy's model.
-        policy: on the model.
+        boxes: boxes of the policy's model.
+        policy: policy on that model.
         start: distribution over states, [states].
 
     Raises:

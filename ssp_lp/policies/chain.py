@@ -1,4 +1,4 @@
-"""The Markov chain that a policy makes of a model: the nodes are (state, memory)."""
+"""The Markov chain of a policy on a model: its nodes are (state, memory)."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from ssp_lp.policies.table import Decisions, Member, PolicyTable
 _Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
 
 _MOST_KEYS = 2_000_000_000
-_MANY_ROUNDS = 64  # of a few nodes each: then all that there may be are searched at once,
-_PAIRS_IN_ROUND = 6_000  # where that takes as long as the rounds till then, in memories times pairs
-_FEW_NODES = 1_000_000  # memories times pairs, so that this takes no longer than many rounds
+_MANY_ROUNDS = 64  # of a few nodes each: then all possible nodes are searched at once,
+_PAIRS_IN_ROUND = 6_000  # if that takes as long as the rounds so far, in memories times pairs
+_FEW_NODES = 1_000_000  # memories times pairs that are searched as fast as many rounds
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
     """The part of a policy's chain that is reached from the start, sorted by memory and state.
 
-    Nodes at goals and dead-ends and decisions to give up end it. ``move`` holds each node's steps
+    Nodes at goals and dead-ends and decisions to give up end it. ``move`` has each node's steps
     once per outcome, so that costs stay attached to their outcomes.
     """
 
@@ -53,7 +53,7 @@ class Chain:
     target: IntArray  # [moves] node
     probability: FloatArray  # [moves]
     cost: FloatArray  # [moves]
-    outcome: IntArray  # [moves] of the model: by it costs can be exchanged
+    outcome: IntArray  # [moves] of the model, to exchange the costs
     branch_node: IntArray  # [branches]
     branch_pair: IntArray  # [branches] pair or GIVE_UP_CODE
     branch_probability: FloatArray  # [branches]
@@ -69,12 +69,12 @@ class Chain:
 
     @cached_property
     def goal(self) -> FloatArray:
-        """1 at goals of the policy's chain, [nodes]."""
+        """1 at goals of the policy's chain, 0 elsewhere, [nodes]."""
         return self.model.goal_mask[self.state].astype(np.float64)
 
     @cached_property
     def alive(self) -> BoolArray:
-        """Nodes before the goal from which the chain may come to it, [nodes]."""
+        """Nodes before the goal from which the chain may reach it, [nodes]."""
         return np.asarray(self.reaching(self.goal > 0) & (self.goal == 0))
 
     @cached_property
@@ -89,28 +89,28 @@ class Chain:
         return sp.csr_array((self.probability, (self.source, self.target)), shape=(n, n))
 
     def per_node(self, move_values: FloatArray) -> FloatArray:
-        """Expected value of the next move in the policy's chain, [nodes]."""
+        """Return the expected value of the next move in the policy's chain, [nodes]."""
         return np.bincount(
             self.source, weights=self.probability * move_values, minlength=self.n_nodes
         ).astype(np.float64)
 
     def ahead(self, values: FloatArray) -> FloatArray:
-        """Expected value of the chain's next node, [nodes] or [nodes, values], as ``values``."""
+        """Return the expected value at the chain's next node, [nodes] or [nodes, values]."""
         return np.asarray(self.matrix @ values)
 
     def reaching(self, ends: BoolArray) -> BoolArray:
-        """Nodes from which the chain may come to one of the given nodes, [nodes]."""
+        """Return the nodes from which the chain may reach one of the given nodes, [nodes]."""
         backward = self.matrix.tocsc()
         return reached_along(backward.indices, backward.indptr, np.flatnonzero(ends))
 
     def accumulate(
         self, reward: FloatArray, inside: BoolArray, survival: float = 1.0
     ) -> FloatArray:
-        """Expected total reward in the policy's chain from each node, within ``inside``.
+        """Return the expected total reward in the policy's chain from each node, within ``inside``.
 
         Args:
             reward: [nodes] or [nodes, rewards]; counted at nodes of ``inside`` only.
-            inside: nodes, from all of which the chain leaves for good, [nodes].
+            inside: nodes that the chain surely leaves for good, [nodes].
             survival: factor of every move.
 
         Returns:
@@ -124,10 +124,10 @@ class Chain:
         return result
 
     def arriving(self, survival: float = 1.0) -> tuple[FloatArray, FloatArray]:
-        """Goal probability and E[cost; goal] to come at each node of the chain, [nodes] each.
+        """Return the future goal probability and E[cost; goal] at each node of the chain, [nodes].
 
         Args:
-            survival: factor of every move; the last one's factor is not on the cost.
+            survival: factor of every move, except for the cost of the last one.
         """
         if survival not in self._arriving:
             hits = self.per_node(self.goal[self.target])
@@ -138,7 +138,7 @@ class Chain:
         return self._arriving[survival]
 
     def visits(self, survival: float = 1.0) -> FloatArray:
-        """The chain's expected visits of each node, those at t weighted survival^t, [nodes].
+        """Return the chain's expected visits of each node, those at t weighted survival^t, [nodes].
 
         Raises:
             ModelError: the policy may wander for ever, so that visits are infinite.
@@ -149,7 +149,7 @@ class Chain:
         return self._system(everywhere, survival)[1].solve_transposed(self.start)
 
     def _system(self, inside: BoolArray, survival: float) -> tuple[IntArray, System]:
-        """Equations of the chain's moves within some nodes, kept for further rewards."""
+        """Return the equations of the chain's moves within some nodes, cached for other rewards."""
         key = survival, inside.tobytes()
         if key not in self._systems:
             nodes = np.flatnonzero(inside)
@@ -159,10 +159,10 @@ class Chain:
     def _equations(
         self, some: IntArray, inside: BoolArray, survival: float
     ) -> tuple[sp.csr_array, FloatArray]:
-        """Rows of the chain's equations within some nodes, and what leaves for good by each.
+        """Return rows of the chain's equations within some nodes, and the flow out of them by each.
 
         Args:
-            some: nodes whose rows they are, of those within, ascending.
+            some: nodes of the rows, of those within, ascending.
             inside: [nodes].
             survival: factor of every move.
         """
@@ -174,7 +174,7 @@ class Chain:
         return own, np.where(ending, 1.0, moving)
 
     def decisions(self) -> Decisions:
-        """The decisions of the policy's chain, in the order in which a run can come to them."""
+        """Return the decisions of the policy's chain, in the order in which runs may reach them."""
         begins = sp.csr_array((self.start[None, :] > 0.0).astype(np.float64))
         edges = sp.vstack([sp.hstack([self.matrix, sp.csr_array((self.n_nodes, 1))]),
                            sp.hstack([begins, sp.csr_array((1, 1))])], format="csr")  # fmt: skip
@@ -194,16 +194,16 @@ class Chain:
 def reached_table(
     policy: MixedPolicy, start: FloatArray, most_nodes: float = np.inf
 ) -> PolicyTable:
-    """Tabulate the decisions that a lottery comes to, the nearest to the start first.
+    """Return a table of the decisions that a lottery reaches, nearest to the start first.
 
     Args:
         policy: the lottery.
         start: distribution over states, [states].
-        most_nodes: of a member's chain.
+        most_nodes: greatest size of a member's chain.
 
     Raises:
-        ModelError: a member is of a class whose memory is not known, or has no decision in a state
-            that it reaches; or its nodes are more than there may be.
+        ModelError: a member is of a class with unknown memory, or has no decision in a state that
+            it reaches; or its chain has too many nodes.
     """
     model = policy.model
     members = []
@@ -223,11 +223,11 @@ def policy_chain(
         model: the model.
         policy: on the model.
         start: distribution over states, [states].
-        most_nodes: that its memory may make of the states.
+        most_nodes: greatest number of nodes.
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches, its memory grows without
-            end, or its nodes are more than there may be.
+            end, or its chain has too many nodes.
     """
     ended, first = policy.ended, np.flatnonzero(start > 0)
     dead = dead_ends(model) & ended
@@ -252,13 +252,13 @@ def policy_chain(
         policy.check_decided(step[6], step[5] % model.n_states)
         waves.append(step)
         if (last := max(int(frontier[-1]), int(step[1].max(initial=0)))) >= _MOST_KEYS:
-            raise ModelError("the policy's chain is too large: its memory does not settle")
+            raise ModelError("the policy's chain is too large: its memory grows without end")
         if last >= visited.size:
             visited = _with_room(visited, max(last + 1, 2 * visited.size))
         visited[frontier] = True
         frontier = sorted_unique(step[1][~visited[step[1]]])
 
-    # the nodes by number, in place of keys
+    # from keys to indices of the nodes
     source, target, chance, cost, outcome, node, pair, weight = (
         np.concatenate(part) for part in zip(*waves, strict=True)
     )
@@ -289,21 +289,21 @@ def policy_chain(
 
 
 def _with_room(visited: BoolArray, size: int) -> BoolArray:
-    """Marks of visited keys, with room for at least so many."""
+    """Return marks of visited keys, extended to at least this size."""
     return np.append(visited, np.zeros(max(size - visited.size, 0), dtype=np.bool_))
 
 
 def _reachable_nodes(
     model: SSP, policy: Policy, start: IntArray, ended: BoolArray, size: int
 ) -> IntArray:
-    """Nodes that a policy comes to from some, by one search on the graph of all there are, as keys.
+    """Return the nodes that a policy reaches from given ones, by a single graph search, as keys.
 
     Args:
         model: the model.
         policy: on the model.
-        start: nodes to begin with, as keys.
+        start: nodes in which the search begins, as keys.
         ended: states in which an episode is over, [states].
-        size: how many values its memory takes.
+        size: number of values of the policy's memory.
     """
     every = np.arange(size * model.n_states)
     source, target = _expand_chain(model, policy, every, ended, size)[:2]
@@ -314,7 +314,7 @@ def _reachable_nodes(
 def _expand_chain(
     model: SSP, policy: Policy, keys: IntArray, ended: BoolArray, size: int | None
 ) -> _Step:
-    """Moves and branches of the chain out of the given nodes, all as keys."""
+    """Return the moves and branches of the chain out of the given nodes, all as keys."""
     memory, state = np.divmod(keys, model.n_states)
     acting = ~ended[state]
     keys, memory, state = keys[acting], memory[acting], state[acting]

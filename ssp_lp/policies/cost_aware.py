@@ -21,10 +21,10 @@ from ssp_lp.policies.policy import (
     check_decisions,
 )
 
-_MOST_BEYOND = 4_000_000  # states times layers beyond the last level, which are held at once
-_FAR = 1e15  # layers: no step passes more
-_MOST_PASSED = 20_000_000  # states times layers that one step passes, where costs are rounded up
-_CHECKED = 1_000_000  # decisions looked at together
+_MOST_BEYOND = 4_000_000  # states times layers beyond the last level, in memory at once
+_FAR = 1e15  # layers: greatest step
+_MOST_PASSED = 20_000_000  # states times layers of one step, if costs are rounded up
+_CHECKED = 1_000_000  # decisions checked together
 _ROUNDING = 1e-9  # of a level: above the rounding of a total of many levels
 _NEAR = 1e-6  # of a layer or a level: far above the rounding of a sum of costs, far below a step
 
@@ -36,16 +36,16 @@ class CostAwarePolicy(Policy):
 
     Costs are counted in layers of ``unit``. Memory below ``cap`` is the layer. At the cap the
     policy switches for good to one of its stationary tails: to the last one (which fails where it
-    can, the paper's pi'_or of section 3.5) where the layer has reached ``tail_threshold`` of the
-    state, else to the first; memory is then ``cap + tail``.
+    can, the paper's pi'_or of section 3.5) if the layer has reached ``tail_threshold`` of the
+    state, otherwise to the first; memory is then ``cap + tail``.
 
-    Where it ``rounds_up`` a step passes the next whole number of layers: the cost paid is at most
-    what the memory says, so that a law of rounded costs overstates no success.
+    If it ``rounds_up``, a step passes the next whole number of layers: the cost paid is at most
+    that of the memory, so that a law of rounded costs never overstates success.
 
-    Where ``levels`` are given the layers are these totals, the last of them the cap: after a step
-    memory is the level nearest to the last one plus the step's cost, so that any observed cost
-    will do. Where the levels are all sums that can occur that is the cost paid; on a grid it is
-    what is left of it after rounding at every step. Thresholds are then totals.
+    ``levels`` are totals that replace the layers, the last of them the cap: after a step memory is
+    the level nearest to the last one plus the step's cost, so that any observed cost is accepted.
+    If the levels are all sums that can occur, this is the cost paid; on a grid, it is rounded at
+    every step. Thresholds are then totals.
 
     Raises:
         ModelError: levels that do not rise from 0, or are not one more than the layers.
@@ -85,12 +85,12 @@ class CostAwarePolicy(Policy):
 
     @property
     def memory_size(self) -> int:
-        """A value for each layer, and for each tail beyond."""
+        """Number of layers and tails."""
         return self.cap + len(self.tails)
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """The layers, and the rule by which tails are chosen."""
+        """Layers, and the rule by which tails are chosen."""
         levels = b"" if self.levels is None else self.levels.tobytes()
         kept = self.cap, self.unit, self.rounds_up, len(self.tails)
         return *kept, self.tail_threshold.tobytes(), levels
@@ -101,18 +101,18 @@ class CostAwarePolicy(Policy):
         return "cost paid"
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """The cost paid so far of each layer, then the tails by number."""
+        """Return the cost paid so far of each layer, then the tails by number."""
         layers = [layer * self.unit for layer in range(self.cap)]
         paid = layers if self.levels is None else self.levels[:-1].tolist()
         return list(enumerate([*paid, *(f"tail {k}" for k in range(len(self.tails)))]))
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The cost-aware policy's memory at the start: layer 0, [episodes]."""
+        """Return the cost-aware policy's memory at the start: layer 0, [episodes]."""
         nothing = np.zeros(len(states), dtype=np.int64)
         return self._memory_at(nothing, self.tail_threshold[states] <= 0.0)
 
     def layers(self) -> CostLayers | None:
-        """The cost-aware policy by layer; None: a cost is no whole number of them, or too large."""
+        """Layers of the cost-aware policy; None: a cost is no multiple of one, or too large."""
         if self.levels is not None:
             return self._level_layers(self.levels)
         given = self.model.costs
@@ -136,7 +136,7 @@ class CostAwarePolicy(Policy):
         )
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The cost-aware policy's one decision of each (state, cost paid)."""
+        """Return the cost-aware policy's one decision of each (state, cost paid)."""
         below = memory < self.cap
         pair = np.empty(len(states), dtype=np.int64)
         some = states[below]
@@ -149,8 +149,8 @@ class CostAwarePolicy(Policy):
         """Add a cost to the cost-aware policy's memory; at the cap switch to a tail.
 
         Raises:
-            ModelError: a cost is negative or not finite, or no whole number of layers where nothing
-                says how to round it.
+            ModelError: a cost is negative or not finite, or no whole number of layers and not
+                rounded.
         """
         _, successors, costs = step
         check_costs(costs)
@@ -170,7 +170,7 @@ class CostAwarePolicy(Policy):
         return np.where(acting, self._memory_at(layer, is_late), memory)
 
     def _passed(self, units: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Whole layers of the cost-aware policy that costs pass, and which have none."""
+        """Return the numbers of whole layers in costs, and a mask of costs that are no multiple."""
         if self.rounds_up:
             passed = np.minimum(np.ceil(units * (1.0 - SAME_TOTAL)), _FAR)
             return passed, np.zeros(units.shape, dtype=np.bool_)
@@ -178,14 +178,14 @@ class CostAwarePolicy(Policy):
         return steps, ~(np.abs(units - steps) <= _NEAR)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
-        """The cost-aware policy by level of cost; beyond the last a layer for each tail.
+        """Return the cost-aware policy by level of cost; beyond the last a layer for each tail.
 
-        Steps that only end episodes lead to the next layer, where that makes no difference. None
-        where the layers beyond are too many.
+        Steps that only end episodes lead to the next layer, where that makes no difference. None if
+        the layers beyond are too many.
         """
         cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
         goes_on = (self.tails[0] != UNDECIDED)[self.model.successors]
-        moving = np.isin(costs, self.model.costs[goes_on])  # after which an episode may go on
+        moving = np.isin(costs, self.model.costs[goes_on])  # of steps that may go on
         edges = self._told_apart(levels, costs[moving])
         if len(edges) * self.model.n_states > _MOST_BEYOND:
             return None
@@ -194,7 +194,7 @@ class CostAwarePolicy(Policy):
         rank = np.where(self.tail_threshold > farthest, len(edges), asks)
 
         def reached(total: FloatArray) -> IntArray:
-            """The layer that each total leads to, like ``total``."""
+            """Return the layer that each total leads to, like ``total``."""
             nearest = _nearest_cost_level(levels, total)
             beyond = np.searchsorted(edges, total, side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
@@ -203,7 +203,7 @@ class CostAwarePolicy(Policy):
         even = _evenly_spaced(levels, costs[moving], int(passed.max(initial=0)))
 
         def leads(level: int) -> IntArray:
-            """Layers that a step of each cost passes from a level, [costs]."""
+            """Return the layers that a step of each cost passes from a level, [costs]."""
             if level < even:
                 return passed
             return np.where(moving, reached(levels[level] + costs) - level, 1)
@@ -221,10 +221,10 @@ class CostAwarePolicy(Policy):
         )
 
     def _told_apart(self, levels: FloatArray, costs: FloatArray) -> FloatArray:
-        """Thresholds of a cost-aware policy's tails that some total tells apart.
+        """Return the thresholds of a cost-aware policy's tails that separate two possible totals.
 
         Args:
-            levels: increasing, the last one behind all layers.
+            levels: increasing, the last one after all layers.
             costs: of steps after which an episode may go on, increasing.
         """
         near = levels[:-1][levels[:-1] >= levels[-2] - costs.max(initial=0.0)]
@@ -241,23 +241,23 @@ class CostAwarePolicy(Policy):
         return np.asarray(edges[is_apart[: len(edges)]])
 
     def _memory_at(self, layer: IntArray, is_late: BoolArray) -> IntArray:
-        """The memory of a cost-aware policy at a layer, or of its tail, the last one if late."""
+        """Return the memory of a cost-aware policy at a layer, or of its tail: the last if late."""
         tail = np.where(is_late, len(self.tails) - 1, 0)
         return np.where(layer < self.cap, layer, self.cap + tail)
 
     def __repr__(self) -> str:
-        """One line: the cap and the unit."""
+        """Return a line with the cap and the unit."""
         if self.levels is not None:
             return f"CostAwarePolicy({self.cap:,} levels below cost {self.levels[-1]:g})"
         return f"CostAwarePolicy({self.cap} layers of cost {self.unit:g})"
 
 
 def _evenly_spaced(levels: FloatArray, costs: FloatArray, most: int) -> int:
-    """Number of the first levels from which each step passes equally many, none beyond the last.
+    """Return the number of first levels from which each step passes equally many levels.
 
     Args:
-        levels: of a cost-aware policy, [levels].
-        costs: of its steps.
+        levels: levels of a cost-aware policy, [levels].
+        costs: costs of its steps.
         most: levels that a step from the first one passes.
     """
     units, count = costs / levels[1], np.arange(len(levels))
@@ -267,18 +267,18 @@ def _evenly_spaced(levels: FloatArray, costs: FloatArray, most: int) -> int:
 
 
 def _nearest_cost_level(levels: FloatArray, totals: FloatArray) -> IntArray:
-    """Level of a cost-aware policy nearest to each total, the lower of two, like ``totals``."""
+    """Return the cost-aware policy's level nearest to each total, the lower of two."""
     above = np.clip(np.searchsorted(levels, totals), 1, len(levels) - 1)
     is_below = totals - levels[above - 1] <= levels[above] - totals
     return np.where(is_below, above - 1, above)
 
 
 def levels_of(policies: Iterable[Policy], layers: int | None = None) -> FloatArray | None:
-    """Totals that a cost-aware member of a lottery tells apart; None: multiples of a unit.
+    """Return the totals that a cost-aware member of a lottery distinguishes, or None for units.
 
     Args:
         policies: the members.
-        layers: how many below the last; None: any number.
+        layers: number of levels below the last; None: any number.
     """
     found = (p.levels for p in policies if isinstance(p, CostAwarePolicy))
     told_apart = (levels for levels in found if levels is not None)

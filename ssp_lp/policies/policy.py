@@ -1,7 +1,7 @@
-"""What every policy can do: decide and remember, for many episodes at once, and be played.
+"""The base of all policies, which decide and remember, for many episodes at once.
 
-Here are those that remember nothing, or what another one does, and mixed policies: lotteries over
-finitely many, drawn once at the start (section 2.2 of the paper).
+The module has the policies without memory, or with another one's memory, and mixed policies:
+lotteries over finitely many policies, drawn once at the start (section 2.2 of the paper).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Randomness = np.random.Generator | int
 
 
 def generator_of(seed: Randomness) -> np.random.Generator:
-    """Random generator to play a policy with: itself, or a new one with this seed.
+    """Return the random generator to play a policy with: itself, or a new one with this seed.
 
     Raises:
         ModelError: neither a generator nor a whole number >= 0.
@@ -51,50 +51,50 @@ def generator_of(seed: Randomness) -> np.random.Generator:
 
 
 class Decision(enum.StrEnum):
-    """Decisions of a policy besides the actions of the model."""
+    """Decisions of a policy other than actions of the model."""
 
     GIVE_UP = "give up"
 
     def __repr__(self) -> str:
-        """The name of the constant."""
+        """Return the name of the constant."""
         return self.name
 
 
 GIVE_UP: Final = Decision.GIVE_UP
 
 GIVE_UP_CODE: Final = -1
-"""Stands for :data:`GIVE_UP` in arrays of pairs."""
+"""Code of :data:`GIVE_UP` in arrays of pairs."""
 
 UNDECIDED: Final = -2
-"""Stands in arrays of pairs for states in which a policy never has to act."""
+"""Code of states in which a policy never acts, in arrays of pairs."""
 
 
 _BY_EPISODE = ": play an episode, episode = policy.start(seed=0), and ask episode.action(state)"
 
 MOST_EPISODES: Final = 100_000_000
-"""Played side by side: some ten gigabytes."""
+"""Greatest number of episodes played side by side: about ten gigabytes."""
 
 Step = tuple[IntArray, IntArray, FloatArray]
-"""Steps of episodes: pairs of the model, where they led to, and what they cost, [episodes] each."""
+"""Steps of episodes: pairs of the model, successors and costs, [episodes] each."""
 
 World = Literal["model", "other"]
-"""Where episodes are played: in the policy's model, or in another world that it stands for."""
+"""World of episodes: the policy's model, or another one that the model approximates."""
 
 
 class Branches(NamedTuple):
-    """The possible decisions in several situations at once, one entry per branch."""
+    """The possible decisions in several situations, one entry per branch."""
 
-    situation: IntArray  # [branches] position among the situations asked about
+    situation: IntArray  # [branches] position among the given situations
     pair: IntArray  # [branches] pair of the model, or GIVE_UP_CODE
     probability: FloatArray  # [branches]
-    memory: IntArray | None = None  # [branches] after giving up, to go on with; None: as before
+    memory: IntArray | None = None  # [branches] after giving up, to go on with; None: unchanged
 
     def kept(self, memory: IntArray) -> IntArray:
-        """Memory with which each decision is taken, given that of the situations, [branches]."""
+        """Return the memory of each decision, given that of the situations, [branches]."""
         return memory[self.situation] if self.memory is None else self.memory
 
     def gives_up(self, memory: IntArray) -> BoolArray:
-        """Whether each decision gives up, even if the policy goes on, [branches]."""
+        """Return a mask of the decisions that give up, even if the policy goes on, [branches]."""
         changes = self.kept(memory) != memory[self.situation]
         return np.asarray((self.pair == GIVE_UP_CODE) | changes)
 
@@ -108,10 +108,10 @@ class CostLayers:
     tail_at: Callable[[int], IntArray]  # layer beyond the last one -> tail of each state, [states]
     costs: FloatArray  # [classes] the distinct costs of a step, increasing
     leads: Callable[[int], IntArray]  # layer -> layers that each class of step passes, [classes]
-    unit: float | None  # cost of a layer; None: layers are levels that totals are rounded to
+    unit: float | None  # cost of a layer; None: layers are levels, to which totals are rounded
     width: int  # 1 + the most layers that a step passes
-    rounds_up: bool = False  # whether steps that cost no whole number of units pass one layer more
-    even: int = 0  # so many of the first layers lead as the first one does
+    rounds_up: bool = False  # whether a cost that is no whole number of units passes one layer more
+    even: int = 0  # number of first layers that lead as the first one does
 
     @property
     def count(self) -> int:
@@ -120,12 +120,12 @@ class CostLayers:
 
 
 _EVERYWHERE = (
-    "(runs need not come to all of these: solution.policy_table() lists those that they come to)"
+    "(runs need not reach all of these: solution.policy_table() lists those that they reach)"
 )
 
 
 class Playable(Report, ReadOnlyCopies, ABC):
-    """Mix-in of the policies that a person's own loop can drive: they start episodes.
+    """Mix-in of the policies that your own loop can drive: they start episodes.
 
     Example:
         >>> from ssp_lp import SSP, DeterministicPolicy
@@ -140,16 +140,16 @@ class Playable(Report, ReadOnlyCopies, ABC):
 
     @explained
     def start(self, seed: Randomness | None = None, *, world: World = "model") -> Episode:
-        """A new episode of the policy, beside any others; ``seed`` draws the lottery and actions.
+        """Return a new episode of the policy; ``seed`` draws the lottery and actions.
 
-        The policy is data and stays as it is: all that an episode remembers is its own.
+        The policy itself never changes: each episode has its own memory.
 
         Args:
-            seed: a generator, which goes on from episode to episode, or a number, with which every
-                episode begins afresh.
-            world: "model" where episodes are played in the policy's model: steps that it does not
-                have, a state other than the one observed and a second observation of one action
-                are refused. "other" where they are not, as in a simulator or a machine.
+            seed: a generator, which continues from episode to episode, or a number, which gives
+                every episode the same draws.
+            world: "model" if episodes are played in the policy's model: steps that it does not
+                have, a state other than the observed one and a second observation of one action are
+                then errors. "other" for any other world, such as a simulator or a machine.
 
         Raises:
             ModelError: a lottery without a generator.
@@ -159,12 +159,12 @@ class Playable(Report, ReadOnlyCopies, ABC):
     def start_many(
         self, episodes: int, seed: Randomness | None = None, *, world: World = "model"
     ) -> EpisodeBatch:
-        """Many new episodes of the policy side by side, whose ``actions`` are asked for together.
+        """Return many new episodes of the policy, which are played side by side.
 
         Args:
-            episodes: how many.
-            seed: as of :meth:`start`.
-            world: as of :meth:`start`.
+            episodes: number of episodes.
+            seed: as in :meth:`start`.
+            world: as in :meth:`start`.
 
         Raises:
             ModelError: no episodes, or a lottery without a generator.
@@ -186,10 +186,10 @@ class Playable(Report, ReadOnlyCopies, ABC):
         """Members of the policy's lottery with their weights."""
 
     def table(self) -> PolicyTable:
-        """The policy's decisions as a table that prints.
+        """Return the policy's decisions as a table that prints.
 
         Raises:
-            ModelError: the policy is of a class whose memory is not known.
+            ModelError: the policy is of a class with unknown memory.
         """
         members = tuple(
             Member(weight, member.remembers, dict(member.memories()), member.decisions)
@@ -198,16 +198,16 @@ class Playable(Report, ReadOnlyCopies, ABC):
         return PolicyTable(self.weighted[0][1].model, members, GIVE_UP, _EVERYWHERE)
 
     def to_frame(self) -> Any:
-        """The policy's table as a pandas ``DataFrame``.
+        """Return the policy's table as a pandas ``DataFrame``.
 
         Raises:
             MissingDependencyError: pandas is not installed.
-            ModelError: the policy is of a class whose memory is not known.
+            ModelError: the policy is of a class with unknown memory.
         """
         return self.table().to_frame()
 
     def tables(self) -> Sequence[Table]:
-        """Tables of the policy's decisions; one line where the policy's memory is not known."""
+        """Return tables of the policy's decisions; a single line if its memory is unknown."""
         try:
             return self.table().tables()
         except ModelError:
@@ -215,11 +215,11 @@ class Playable(Report, ReadOnlyCopies, ABC):
 
     @explained
     def action(self, state: Hashable) -> Hashable:
-        """The policy's action in a state: :data:`GIVE_UP` where it gives up, None where it is over.
+        """Return the policy's action: :data:`GIVE_UP` for giving up, None if the episode is over.
 
         Raises:
             ModelError: unknown state; a state in which the policy has no decision; or the action
-                depends on a lottery, a random draw or a memory, which an episode keeps.
+                depends on a lottery, a random draw or a memory, which only an episode has.
         """
         taken: dict[Hashable, None] = {}
         for _, member in self.weighted:
@@ -244,16 +244,16 @@ class Playable(Report, ReadOnlyCopies, ABC):
 
 
 class Policy(Playable):
-    """A policy without or with a finite memory, which starts, decides and remembers.
+    """A policy with a finite memory or none, which starts, decides and remembers.
 
     Its methods work on many episodes at once. Memory is an integer whose meaning is the policy's
-    own; a class that says nothing of it has none.
+    own; the default is no memory.
     """
 
     model: SSP
     carrier: Policy | None = None  # the policy whose memory this one has
     goes_on: bool = False  # whether the policy has decisions after failing
-    step_limit: int | None = None  # within which it was made to reach the goal; None: not known
+    step_limit: int | None = None  # steps to reach the goal within, if it was made for a horizon
 
     @property
     def declares_failing(self) -> bool:
@@ -262,17 +262,17 @@ class Policy(Playable):
 
     @property
     def memory_size(self) -> int | None:
-        """Values that its memory takes, 0 .. size - 1, in every state; None: that is not known."""
+        """Number of values of its memory, 0 .. size - 1, in every state; None: unknown."""
         return None if self.carrier is None else self.carrier.memory_size
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """What its memory means: equal for policies that understand each other's."""
+        """Key of its memory's meaning, equal for policies that understand each other's memory."""
         return () if self.carrier is None else self.carrier.meaning
 
     @property
     def remembers(self) -> str:
-        """What the policy remembers, in a word."""
+        """Name of the quantity that the policy remembers."""
         return "memory" if self.carrier is None else self.carrier.remembers
 
     @property
@@ -281,23 +281,23 @@ class Policy(Playable):
         return ((1.0, self),)
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Values of the policy's memory, and the words for each in its table.
+        """Return the values of the policy's memory, with their names in its table.
 
         Raises:
-            ModelError: nothing bounds the memory.
+            ModelError: the memory is unbounded.
         """
         if self.carrier is not None:
             return self.carrier.memories()
         if (size := self.memory_size) is None:
-            raise ModelError(f"what a {type(self).__name__} remembers is not known")
+            raise ModelError(f"the memory of a {type(self).__name__} is unknown")
         return [(0, None)] if size == 1 else [(k, k) for k in range(size)]
 
     def listed_states(self, memory: int) -> IntArray:
-        """States in which the policy may have a decision with this memory, [states]."""
+        """Return the states in which the policy may have a decision with this memory, [states]."""
         return np.arange(self.model.n_states)
 
     def decisions(self) -> Iterator[Decisions]:
-        """The policy's decisions, a block for each value of its memory."""
+        """Yield the policy's decisions, a block for each value of its memory."""
         for code, _ in self.memories():
             states = self.listed_states(code)
             memory = np.full(len(states), code, dtype=np.int64)
@@ -308,32 +308,32 @@ class Policy(Playable):
             yield Decisions(states[here], memory[here], pair[kept], branches.probability[kept])
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The policy's memory at the start of episodes in these states, [episodes]."""
+        """Return the policy's memory at the start of episodes in these states, [episodes]."""
         nothing = np.zeros(len(states), dtype=np.int64)
         return nothing if self.carrier is None else self.carrier.start_memory(states)
 
     def reaches(self, states: IntArray, memory: IntArray) -> BoolArray:
-        """Whether the policy has reached its goal, by its memory before the model's, [episodes]."""
+        """Return a mask of episodes whose memory says that the goal is reached, [episodes]."""
         return self.model.goal_mask[states]
 
     def begins(self, states: IntArray) -> BoolArray:
-        """Whether an episode of the policy may begin in these states, [episodes]."""
+        """Return a mask of states in which an episode of the policy may begin, [episodes]."""
         return np.ones(len(states), dtype=np.bool_)
 
     def layers(self) -> CostLayers | None:
-        """The policy by layers of the cost paid; None where its memory is another one."""
+        """Return the policy by layers of the cost paid; None if its memory is another one."""
         return None
 
     @abstractmethod
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The policy's decisions with probabilities in each (state, memory), [situations]."""
+        """Return the policy's decisions with probabilities in each (state, memory)."""
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """The policy's memory after steps of pairs to successors at costs, [episodes]."""
+        """Return the policy's memory after steps of pairs to successors at costs, [episodes]."""
         return memory if self.carrier is None else self.carrier.remember(memory, *step)
 
     def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
-        """The policy's memory after outcomes of pairs of the model, [episodes].
+        """Return the policy's memory after outcomes of pairs of the model, [episodes].
 
         Like :meth:`remember`, unless the memory depends on more than successors and costs.
         """
@@ -349,9 +349,9 @@ class Policy(Playable):
 
     @property
     def staying(self) -> IntArray:
-        """The policy's pair that surely avoids the goal in each state, else UNDECIDED, [states].
+        """Pair of each state by which the policy surely avoids the goal, or UNDECIDED, [states].
 
-        Where one may stay for ever without coming to what is limited, it does.
+        If possible, the policy stays for ever without paying any limited quantity.
         """
         pairs = np.flatnonzero(attention_pairs(self.model, attention_states(self.model)))
         states, first = np.unique(self.model.pair_state[pairs], return_index=True)
@@ -362,14 +362,14 @@ class Policy(Playable):
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None
     ) -> tuple[IntArray, IntArray]:
-        """Draw one decision per episode, and the memory with which it is taken, [episodes] each.
+        """Draw a decision for each episode, and the memory with which it is taken, [episodes] each.
 
         Raises:
             ModelError: the policy has no decision in one of the states.
         """
         branches = self.branches(states, memory)
         drawn: IntArray = np.arange(len(states))
-        if len(branches.situation) > len(states):  # else one branch each: nothing to draw
+        if len(branches.situation) > len(states):  # otherwise one branch each: no draws
             if rng is None:
                 raise ModelError("a stochastic policy needs a seed or a generator: start(0)")
             offsets = np.searchsorted(branches.situation, np.arange(len(states) + 1))
@@ -379,14 +379,14 @@ class Policy(Playable):
         return branches.pair[drawn], branches.kept(memory)[drawn]
 
     def check_decided(self, pairs: IntArray, states: IntArray) -> None:
-        """Raise :class:`ModelError` where the policy decides nothing in one of the states."""
+        """Raise :class:`ModelError` if the policy has no decision in one of the states."""
         if (pairs == UNDECIDED).any():
             state = self.model.states[int(states[int(np.argmax(pairs == UNDECIDED))])]
             raise ModelError(f"the policy has no decision in state {state!r}")
 
 
 def check_policies(policies: Sequence[Any], parts: str) -> None:
-    """Raise :class:`ModelError` unless all parts are policies on one model; a solution has one."""
+    """Raise :class:`ModelError` unless all parts are policies on one model."""
     for one in policies:
         if not isinstance(one, Policy):
             hint = "; pass solution.policy" if hasattr(one, "policy") else ""
@@ -404,16 +404,16 @@ def check_costs(costs: FloatArray | float) -> None:
         raise ModelError(f"observed cost {cost!r} must be >= 0 and finite")
 
 
-_OTHER_WORLD = "start(seed, world='other') plays where the model does not hold"
+_OTHER_WORLD = "start(seed, world='other') plays in a world other than the model"
 
 
 class EpisodeBatch:
-    """The members of a policy, each playing the episodes that the lottery gave it. Mutable.
+    """The members of a policy, each with the episodes that the lottery gave it. Mutable.
 
-    A person's own loop calls ``actions`` and ``observe`` with the states of all episodes;
-    ``begin``, ``decide`` and ``remember`` take indices of episodes, states and pairs. An episode
-    is over from a goal, a dead-end or giving up on, whatever is said of it afterwards; but where
-    the policy knows what to do after failing, it goes on with that, and ``failed`` says so.
+    Your own loop calls ``actions`` and ``observe`` with the states of all episodes; ``begin``,
+    ``decide`` and ``remember`` take indices of episodes, states and pairs. An episode is over at a
+    goal, in a dead-end or after giving up, whatever is observed afterwards; but if the policy has
+    decisions after failing, the episode goes on with these, and ``failed`` is True.
     """
 
     def __init__(
@@ -427,36 +427,36 @@ class EpisodeBatch:
 
         Args:
             members: the policies that play.
-            drawn: the position of the one that plays each episode, [episodes].
-            rng: draws random actions; None: there are none to draw.
-            world: as of ``Policy.start``.
+            drawn: index of the member that plays each episode, [episodes].
+            rng: draws random actions; None: the policies have none.
+            world: as in ``Policy.start``.
         """
         if world not in get_args(World):
             raise wrong_argument("world", "be 'model' or 'other'", world)
         self._members, self._drawn, self._rng = tuple(members), drawn, rng
         self.model = self._members[0].model
         self._is_model = world == "model"
-        self.memory = np.zeros(len(drawn), dtype=np.int64)  # [episodes] of those that go on
+        self.memory = np.zeros(len(drawn), dtype=np.int64)  # [episodes], of those that go on
         self._pairs = np.full(len(drawn), UNDECIDED, dtype=np.int64)  # of the last actions
-        self._state: IntArray | None = None  # [episodes] where they stand, once begun
-        self._is_observed = True  # what the last actions led to
+        self._state: IntArray | None = None  # [episodes] current states, once begun
+        self._is_observed = True  # whether the last actions were observed
         self.over = np.zeros(len(drawn), dtype=np.bool_)  # [episodes]
-        self.reached = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] a goal by what is kept
-        self.failed = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] the goal is given up, lost
+        self.reached = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] a goal by the memory
+        self.failed = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] the goal is lost
 
     def actions(self, states: Sequence[Hashable]) -> list[Hashable]:
-        """The policy's action in each episode of the batch, [episodes].
+        """Return the policy's action in each episode of the batch, [episodes].
 
-        It is :data:`GIVE_UP` from where an episode gives up, and None where one is over, in a goal
-        or in a dead-end; what state is said of it then does not matter. One that gives up and goes
-        on has an action, and ``failed`` from then on.
+        It is :data:`GIVE_UP` once an episode has given up, and None once it is over, at a goal or
+        in a dead-end, whatever its state. An episode that gives up and goes on has an action, and
+        ``failed`` from then on.
 
         Args:
             states: [episodes].
 
         Raises:
-            ModelError: unknown state or another than the one observed, another number of episodes,
-                or a state in which the policy has no decision.
+            ModelError: unknown state or another than the observed one, a wrong number of states, or
+                a state in which the policy has no decision.
         """
         here = self._indices(states)
         if self._state is None:
@@ -484,16 +484,16 @@ class EpisodeBatch:
 
     @explained
     def observe(self, successors: Sequence[Hashable], costs: Sequence[float] | FloatArray) -> None:
-        """Tell the batch where steps led and what they cost, to move the policies' memories.
+        """Observe the successors and costs of the steps, to update the policies' memories.
 
         Args:
             successors: [episodes]; of those that are over, any state.
-            costs: [episodes]; any costs >= 0 that the memory can count, the model's or not.
+            costs: [episodes]; any costs >= 0 that the memory can count, not only the model's.
 
         Raises:
-            ModelError: unknown state or one that the step cannot lead to, another number of
-                episodes, no action or one observed already, or a cost that is negative, not finite
-                or off the lattice that the policy was made for.
+            ModelError: unknown state or one that the step cannot lead to, a wrong number of
+                entries, no action or one observed already, or a cost that is negative, not finite
+                or not a multiple of the policy's unit.
         """
         there, paid = self._indices(successors), np.asarray(costs, dtype=np.float64)
         if paid.shape != there.shape:
@@ -526,9 +526,9 @@ class EpisodeBatch:
             self.memory[begun[mine]] = member.start_memory(states[begun[mine]])
 
     def decide(self, episodes: IntArray, states: IntArray) -> IntArray:
-        """The policies' pair or GIVE_UP_CODE for each of the given episodes in these states.
+        """Return a pair or GIVE_UP_CODE for each of the given episodes in these states.
 
-        Those that give up where the policy knows what to do afterwards begin with that.
+        Policies with decisions after giving up continue with these at once.
         """
         pairs = np.empty(len(episodes), dtype=np.int64)
         for member, mine in self.shares(episodes):
@@ -539,14 +539,14 @@ class EpisodeBatch:
         return pairs
 
     def remember(self, episodes: IntArray, *step: *Step) -> None:
-        """Move the policies' memories of the given episodes."""
+        """Update the policies' memories of the given episodes."""
         pairs, successors, costs = step
         for member, mine in self.shares(episodes):
             own, taken = episodes[mine], (pairs[mine], successors[mine], costs[mine])
             self.memory[own] = member.remember(self.memory[own], *taken)
 
     def shares(self, episodes: IntArray) -> Iterator[tuple[Policy, IntArray]]:
-        """Each member with the positions of the episodes that it plays."""
+        """Yield each member with the positions of the episodes that it plays."""
         for number, member in enumerate(self._members):
             mine = np.flatnonzero(self._drawn[episodes] == number)
             if mine.size:
@@ -558,34 +558,34 @@ class EpisodeBatch:
         return np.asarray(np.all([member.ended for member in self._members], axis=0))
 
     def _indices(self, states: Sequence[Hashable]) -> IntArray:
-        """Positions of the states of a batch's episodes."""
+        """Return the positions of the states of a batch's episodes."""
         if len(states) != len(self._drawn):
             raise ModelError(f"{len(states)} states given for {len(self._drawn)} episodes")
         return np.array([self.model.index_of(state) for state in states], dtype=np.int64)
 
 
 class Episode:
-    """One episode of a policy: the member drawn, its memory, and whether it is over. Mutable.
+    """One episode of a policy: the drawn member, its memory, and whether it is over. Mutable.
 
-    Any number of episodes run side by side, each with a memory of its own.
+    Any number of episodes can run side by side, each with its own memory.
     """
 
     def __init__(self, alone: EpisodeBatch) -> None:
         """Play the only episode of a batch."""
         self._alone = alone
-        self._staying: IntArray | None = None  # [states], once it goes on after giving up
+        self._staying: IntArray | None = None  # [states], after continue_after_give_up
 
     @explained
     def action(self, state: Hashable) -> Hashable:
-        """The policy's action in this state; :data:`GIVE_UP` or None once the episode is over.
+        """Return the policy's action in this state; :data:`GIVE_UP` or None once it is over.
 
-        It is over from giving up on, or from a goal or a dead-end, unless the policy knows what to
-        do then: it does where its problem counts what happens after failing. ``failed`` says from
-        when on the goal is given up.
+        An episode is over after giving up, or at a goal or a dead-end, unless the policy has
+        decisions after failing, as it does if its problem counts quantities then. ``failed`` is
+        True once the goal is given up.
 
         Raises:
-            ModelError: unknown state or another than the one observed, or one in which the policy
-                has no decision.
+            ModelError: unknown state or another than the observed one, or a state in which the
+                policy has no decision.
         """
         if self._staying is None:
             return self._alone.actions([state])[0]
@@ -597,16 +597,16 @@ class Episode:
 
     @explained
     def observe(self, successor: Hashable, cost: float) -> None:
-        """Tell the episode where the step led and what it cost, to move the policy's memory.
+        """Observe the successor and cost of the step, to update the policy's memory.
 
         Args:
-            successor: the state that the action led to.
-            cost: of the step, >= 0, the model's or not.
+            successor: state to which the action led.
+            cost: cost of the step, >= 0, not only the model's.
 
         Raises:
             ModelError: unknown state or one that the step cannot lead to, an episode that is over,
-                no action or one observed already, or a cost that is negative, not finite or off the
-                lattice that the policy was made for.
+                no action or one observed already, or a cost that is negative, not finite or not a
+                multiple of the policy's unit.
         """
         if self._staying is not None:
             return
@@ -620,7 +620,7 @@ class Episode:
         return bool(self._alone.failed[0])
 
     def continue_after_give_up(self) -> None:
-        """From now on play the policy that stays in the attention states (it avoids the goal)."""
+        """Play the policy that stays in the attention states (avoiding the goal) from now on."""
         ((member, _),) = self._alone.shares(np.zeros(1, dtype=np.int64))
         self._staying = member.staying
 
@@ -655,16 +655,16 @@ class DeterministicPolicy(Policy):
 
     @property
     def memory_size(self) -> int | None:
-        """One: there is no memory."""
+        """1, since the policy has no memory."""
         return 1
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The deterministic policy's one decision of each state."""
+        """Return the deterministic policy's one decision of each state."""
         n = len(states)
         return Branches(np.arange(n), self.decision[states].astype(np.int64), np.ones(n))
 
     def actions(self) -> dict[Hashable, Hashable]:
-        """``{state: action or GIVE_UP}`` where the deterministic policy has a decision."""
+        """Return ``{state: action or GIVE_UP}`` for states in which the policy has a decision."""
         return {
             self.model.states[s]: GIVE_UP if p == GIVE_UP_CODE else self.model.action_of(int(p))
             for s, p in enumerate(self.decision)
@@ -672,14 +672,14 @@ class DeterministicPolicy(Policy):
         }
 
     def __repr__(self) -> str:
-        """One line: how many states it decides and in how many it gives up."""
+        """Return a line with the numbers of states in which it acts and gives up."""
         gives_up = int((self.decision == GIVE_UP_CODE).sum())
         decides = int((self.decision >= 0).sum())
         return f"DeterministicPolicy(acts in {decides:,} states, gives up in {gives_up:,})"
 
 
 def _decided_pair(model: SSP, state: int, action: Hashable) -> int:
-    """Pair of a decision, GIVE_UP_CODE for ``GIVE_UP`` or, without such an action, "give up"."""
+    """Return the pair of a decision, GIVE_UP_CODE for ``GIVE_UP`` (or "give up", if no action)."""
     own = map(model.action_of, model.pairs_of(state))
     if action is GIVE_UP or (action == GIVE_UP and action not in own):
         return GIVE_UP_CODE
@@ -687,7 +687,7 @@ def _decided_pair(model: SSP, state: int, action: Hashable) -> int:
 
 
 def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = False) -> None:
-    """Raise :class:`ModelError` where a deterministic policy's decision is no pair of its state.
+    """Raise :class:`ModelError` if a deterministic policy's decision is no pair of its state.
 
     Args:
         model: the model.
@@ -712,8 +712,8 @@ def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = Fals
 class StochasticPolicy(Policy):
     """A distribution over decisions in each situation, that is in each (state, memory).
 
-    Situations are sorted by (memory, state). Memory moves as that of ``carrier`` does; without a
-    carrier the policy is stationary on the model's states. The policy that is equivalent to a
+    Situations are sorted by (memory, state). Memory is updated as that of ``carrier``; without a
+    carrier the policy is stationary on the model's states. The randomised policy equivalent to a
     mixed policy (paper, section 2.2) has this form.
     """
 
@@ -760,14 +760,14 @@ class StochasticPolicy(Policy):
         flows: FloatArray,
         carrier: Policy | None = None,
     ) -> StochasticPolicy:
-        """The stochastic policy that takes each decision with its share of a situation's flow.
+        """Return the stochastic policy whose probabilities are the shares of each situation's flow.
 
         Args:
             model: the model.
             keys: memory * n_states + state of each decision; any order, repetitions allowed.
             pairs: pair of the model or GIVE_UP_CODE, like ``keys``.
-            flows: expected number of times that the decision is taken, like ``keys``.
-            carrier: the policy whose memory is meant; None: no memory.
+            flows: expected number of times of the decision, like ``keys``.
+            carrier: policy whose memory the keys have; None: no memory.
         """
         joint, back = np.unique(keys * (model.n_pairs + 1) + pairs + 1, return_inverse=True)
         flow = np.bincount(back, weights=flows).astype(np.float64)
@@ -775,7 +775,7 @@ class StochasticPolicy(Policy):
         situation, first = np.unique(key, return_index=True)
         offsets = np.append(first, key.size)
         total = np.repeat(segment_sums(flow, offsets), np.diff(offsets))
-        even = 1.0 / np.repeat(np.diff(offsets), np.diff(offsets))  # where all visits underflow
+        even = 1.0 / np.repeat(np.diff(offsets), np.diff(offsets))  # if all visits underflow
         share = np.where(total > 0, flow / np.where(total > 0, total, 1.0), even)
         return cls(model, situation, offsets, pair - 1, share, carrier)
 
@@ -785,17 +785,17 @@ class StochasticPolicy(Policy):
         return 1 if self.carrier is None else super().memory_size
 
     def listed_states(self, memory: int) -> IntArray:
-        """States whose decisions are listed with this memory, [states]."""
+        """Return the states whose decisions are listed with this memory, [states]."""
         n = self.model.n_states
         first, last = np.searchsorted(self.situation_key, [memory * n, (memory + 1) * n])
         return np.asarray(self.situation_key[first:last] - memory * n)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The stochastic policy's decisions with probabilities; UNDECIDED where none is listed."""
+        """Return the policy's decisions with probabilities; UNDECIDED if none is listed."""
         key = np.asarray(memory, dtype=np.int64) * self.model.n_states + states
         at = np.searchsorted(self.situation_key, key)
         listed = np.append(self.situation_key, -1)[at] == key  # -1: a key that no situation has
-        place = np.where(listed, at, len(self.situation_key))  # where nothing is decided
+        place = np.where(listed, at, len(self.situation_key))  # for situations without a decision
         index, count = entries_of(np.append(self.offsets, len(self.pair) + 1), place)
         return Branches(
             np.repeat(np.arange(len(states)), count),
@@ -804,7 +804,7 @@ class StochasticPolicy(Policy):
         )
 
     def __repr__(self) -> str:
-        """One line: in how many situations it decides, and in how many at random."""
+        """Return a line with the numbers of situations, and of those with random decisions."""
         random = int((np.diff(self.offsets) > 1).sum())
         return f"StochasticPolicy({len(self.situation_key):,} situations, {random:,} at random)"
 
@@ -833,16 +833,16 @@ class MixedPolicy(Playable):
 
     @property
     def model(self) -> SSP:
-        """The model that the mixed policy's members act on."""
+        """Model on which the mixed policy's members act."""
         return self.policies[0].model
 
     @property
     def weighted(self) -> tuple[tuple[float, Policy], ...]:
-        """The mixed policy's members with their weights."""
+        """Members of the mixed policy with their weights."""
         return tuple(zip(self.weights.tolist(), self.policies, strict=True))
 
     def __repr__(self) -> str:
-        """One line: how many members there are, and the first three with their weights."""
+        """Return a line with the number of members, and the first three with their weights."""
         parts = [f"{weight:.6g} x {policy!r}" for weight, policy in self.weighted[:3]]
         parts += ["..."] * (len(self.policies) > len(parts))
         count = f"{len(self.policies)} member{'s' if len(self.policies) > 1 else ''}"
@@ -850,9 +850,9 @@ class MixedPolicy(Playable):
 
 
 def as_lottery(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """A policy as a lottery, of one member if it is none.
+    """Return a policy as a lottery, with one member unless it is one already.
 
     Raises:
-        ModelError: it is no policy.
+        ModelError: the argument is no policy.
     """
     return policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))

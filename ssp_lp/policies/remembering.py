@@ -1,6 +1,6 @@
-"""Policies with a memory beside the state: steps taken, a memory of the user's, several at once.
+"""Policies with a memory: steps taken, a memory of your own, or several at once.
 
-Such a policy acts on a product of model and memory, and is carried back to the model itself.
+Such a policy acts on a product of model and memory, and is led back to the model itself.
 """
 
 from __future__ import annotations
@@ -46,25 +46,25 @@ class _Carried(Policy):
     @property
     @abstractmethod
     def digits(self) -> Sequence[Hashable]:
-        """Values of the digit, in words."""
+        """Names of the digit's values."""
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """The model of the inner policy."""
+        """Model of the inner policy."""
         return self.inner.model
 
     @property
     def step_limit(self) -> int | None:  # type: ignore[override]
-        """The inner policy's."""
+        """Step limit of the inner policy."""
         return self.inner.step_limit
 
     @property
     def goes_on(self) -> bool:  # type: ignore[override]
-        """Whether the inner policy does."""
+        """Whether the inner policy goes on after failing."""
         return self.inner.goes_on
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """The digit, with the inner policy's memory where it has one."""
+        """Return the digits, each with the inner policy's memories if it has any."""
         return [
             (code * len(self.digits) + k, word if words is None else (word, words))
             for k, word in enumerate(self.digits)
@@ -72,11 +72,11 @@ class _Carried(Policy):
         ]
 
     def split(self, memory: IntArray) -> tuple[IntArray, IntArray]:
-        """The inner memory and the digit, [episodes] each."""
+        """Return the inner memory and the digit, [episodes] each."""
         return np.divmod(memory, len(self.digits))
 
     def joined(self, inner: IntArray, digit: IntArray | int) -> IntArray:
-        """The memory of an inner one and a digit, [episodes]."""
+        """Return the memory made of an inner memory and a digit, [episodes]."""
         return np.asarray(inner * len(self.digits) + digit)
 
 
@@ -85,7 +85,7 @@ class _Carried(Policy):
 class TimedPolicy(_Carried):
     """One policy for each time step, the last of them for good (paper, section 3.4).
 
-    The stages must share one memory: each must understand what any other remembers. The digit is
+    The stages must share one memory: each must understand the memory of all others. The digit is
     the stage.
 
     Raises:
@@ -102,31 +102,31 @@ class TimedPolicy(_Carried):
 
     @property
     def inner(self) -> Policy:  # type: ignore[override]
-        """The first stage, whose memory is moved."""
+        """First stage, whose memory is updated."""
         return self.stages[0]
 
     @property
     def digits(self) -> Sequence[Hashable]:
-        """The stages by number."""
+        """Stages by number."""
         return range(len(self.stages))
 
     @property
     def memory_size(self) -> int | None:
-        """As many values as the first stage's memory has, for each stage."""
+        """Size of the first stage's memory times the number of stages."""
         own = self.inner.memory_size
         return None if own is None else own * len(self.stages)
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """The number of stages, and the meaning of their own memory."""
+        """Number of stages, and the meaning of their own memory."""
         return len(self.stages), *self.inner.meaning
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The first stage, [episodes]."""
+        """Return the initial memory, in the first stage, [episodes]."""
         return self.joined(self.inner.start_memory(states), 0)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The timed policy's decisions, those of each situation's stage."""
+        """Return the decisions of each situation's stage."""
         inner, stage = self.split(memory)
         parts = []
         for number in np.unique(np.append(stage, 0)):
@@ -135,24 +135,24 @@ class TimedPolicy(_Carried):
         return merged(memory, *parts)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Move the memory that the timed policy's stages share, and go on to the next stage."""
+        """Update the stages' memory, and go on to the next stage."""
         inner, stage = self.split(memory)
         moved = self.inner.remember(inner, *step)
         return self.joined(moved, np.minimum(stage + 1, len(self.stages) - 1))
 
     def __repr__(self) -> str:
-        """One line: the number of stages and the last one."""
+        """Return a line with the number of stages and the last one."""
         return f"TimedPolicy({len(self.stages):,} stages, then {self.stages[-1]!r})"
 
 
 def asked(policy: Policy, some: IntArray, states: IntArray, memory: IntArray) -> Branches:
-    """A policy's decisions in some of several situations, numbered as all of them are."""
+    """Return a policy's decisions in some of several situations, with these situations' numbers."""
     branches = policy.branches(states[some], memory[some])
     return branches._replace(situation=some[branches.situation])
 
 
 def merged(memory: IntArray, *parts: Branches) -> Branches:
-    """Decisions in different situations as one, by situation; of memories, [situations]."""
+    """Return decisions in different situations as one array, by situation."""
     situation, pair, probability, kept = (
         np.concatenate(part)
         for part in zip(*((*part[:3], part.kept(memory)) for part in parts), strict=True)
@@ -168,12 +168,12 @@ class JointMemory(Policy):
     The memory is a mixed-radix number, the first policy's memory its leading digit.
     """
 
-    keepers: tuple[Policy, ...]  # one for each memory, all of which are of known size
-    decider: Policy  # remembers what one of the keepers does, or nothing
+    keepers: tuple[Policy, ...]  # one for each memory, all of which have a known size
+    decider: Policy  # has the memory of one of the keepers, or none
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """The model of the policy that decides."""
+        """Model of the deciding policy."""
         return self.decider.model
 
     @property
@@ -183,28 +183,28 @@ class JointMemory(Policy):
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """The meanings of the keepers' memories."""
+        """Meanings of the keepers' memories."""
         return tuple(keeper.meaning for keeper in self.keepers)
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Tuples of the keepers' memories."""
+        """Return the tuples of the keepers' memories."""
         parts = every_choice(*(keeper.memories() for keeper in self.keepers))
         joint = [tuple(zip(*some, strict=True)) for some in parts]
         return [(int(np.ravel_multi_index(codes, self._sizes)), words) for codes, words in joint]
 
     def listed_states(self, memory: int) -> IntArray:
-        """States that every keeper lists with its part of a joint memory, [states]."""
+        """Return the states that every keeper lists with its part of a joint memory, [states]."""
         parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
         listed = [keeper.listed_states(int(part)) for keeper, part in parts]
         return reduce(np.intersect1d, listed, np.arange(self.model.n_states))
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Start of a joint memory: each keeper's, [episodes]."""
+        """Return the initial joint memory, from that of each keeper, [episodes]."""
         parts: list[IntArray] = [keeper.start_memory(states) for keeper in self.keepers]
         return np.asarray(np.ravel_multi_index(parts, self._sizes))
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Decisions by a joint memory: the decider's, given its own part."""
+        """Return the decider's decisions, given its own part of a joint memory."""
         parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
         mine: list[IntArray] = [
             part for keeper, part in parts if keeper.meaning == self.decider.meaning
@@ -213,7 +213,7 @@ class JointMemory(Policy):
         return self.decider.branches(states, own)._replace(memory=None)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Move each keeper's part of a joint memory."""
+        """Update each keeper's part of a joint memory."""
         parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
         moved: list[IntArray] = [keeper.remember(part, *step) for keeper, part in parts]
         return np.asarray(np.ravel_multi_index(moved, self._sizes))
@@ -225,15 +225,15 @@ class JointMemory(Policy):
 
 
 def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
-    """Members of a lottery whose memories are all that its members remember.
+    """Return the members of a lottery whose memories include those of all members.
 
     Raises:
-        ModelError: a member is of a class whose memory is not known here.
+        ModelError: a member is of a class with unknown memory.
     """
     keepers: dict[tuple[object, ...], Policy] = {}
     for member in policy.policies:
         if member.memory_size is None:
-            raise ModelError(f"what a {type(member).__name__} remembers is not known")
+            raise ModelError(f"the memory of a {type(member).__name__} is unknown")
         if member.memory_size > 1:
             keepers.setdefault(member.meaning, member)
     return tuple(keepers.values())
@@ -241,7 +241,7 @@ def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RememberingPolicy(_Carried):
-    """A policy of (state, memory) that acts on states and carries the memory itself.
+    """A policy of (state, memory) that acts on states and updates the memory itself.
 
     The digit is the product's memory.
     """
@@ -253,7 +253,7 @@ class RememberingPolicy(_Carried):
 
     @property
     def product(self) -> ProductSSP:
-        """Product that the policy remembering its memory lives on."""
+        """Product on which the inner policy acts."""
         return check_product(self.inner.model)
 
     @property
@@ -263,46 +263,46 @@ class RememberingPolicy(_Carried):
 
     @property
     def step_limit(self) -> int | None:  # type: ignore[override]
-        """Step limit of a policy that remembers: the fewest of its products."""
+        """Step limit of the policy: the least of its products'."""
         own = self.product.steps if isinstance(self.product, HorizonSSP) else None
         return min((n for n in (own, self.inner.step_limit) if n is not None), default=None)
 
     @property
     def digits(self) -> Sequence[Hashable]:
-        """The product's memories."""
+        """Memories of the product."""
         return self.product.memories
 
     def listed_states(self, memory: int) -> IntArray:
-        """States that the product has with this memory, and its policy with its own, [states]."""
+        """Return the states that have a decision with this memory, [states]."""
         inner, number = divmod(memory, len(self.product.memories))
         listed = self.inner.listed_states(inner)
         here = listed[self.product.labels.number[listed] == number]
         return np.sort(self.product.original_state[here])
 
     def begins(self, states: IntArray) -> BoolArray:
-        """Whether the product has these states with the memory's start, [episodes]."""
+        """Return a mask of states that the product has with its initial memory, [episodes]."""
         return np.asarray(self.product.table[states, self.product.first_memory(states)] >= 0)
 
     def reaches(self, states: IntArray, memory: IntArray) -> BoolArray:
-        """Whether the product's goal is reached with what is remembered, [episodes]."""
+        """Return a mask of episodes at the product's goal by their memory, [episodes]."""
         inner, number = self.split(memory)
         return self.inner.reaches(self.product.at(states, number), inner)
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Start of the product's memory and of the inner policy's, remembered, [episodes]."""
+        """Return the initial memories of the product and of the inner policy, [episodes]."""
         begun = self.product.first_memory(states)
         here = self.product.at(states, begun)
         return self.joined(self.inner.start_memory(here), begun)
 
     @property
     def ended(self) -> BoolArray:
-        """Goals, and dead-ends in which the remembering policy's inner one acts without memory."""
+        """Goals, and dead-ends unless the inner policy acts there without memory, [states]."""
         over = super().ended.copy()
         over[self.product.original_state[~self.inner.ended]] = False
         return over
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Decisions of a remembering policy as pairs of the original; giving up where lost."""
+        """Return the decisions as pairs of the original; giving up where the goal is lost."""
         product, (inner, number) = self.product, self.split(memory)
         here = product.at(states, number)
         inside = self.inner.branches(here, inner)
@@ -316,7 +316,7 @@ class RememberingPolicy(_Carried):
         return Branches(inside.situation, pair, inside.probability, kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Update the remembered memory with each step, and the inner policy's, [episodes].
+        """Update the product's memory with each step, and the inner policy's, [episodes].
 
         Raises:
             ModelError: a cost is negative or not finite, or a step leads to a memory that the
@@ -331,7 +331,7 @@ class RememberingPolicy(_Carried):
         return self.joined(moved, product.labels.number[there])
 
     def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
-        """Update the remembered memory with outcomes, and the inner policy's, [episodes]."""
+        """Update the product's memory with outcomes, and the inner policy's, [episodes]."""
         product, (inner, begun) = self.product, self.split(memory)
         taken = product.placed(product.at(self.model.pair_state[pairs], begun), pairs)
         there, places = product.moved_by(taken, outcomes)
@@ -339,7 +339,7 @@ class RememberingPolicy(_Carried):
         return self.joined(moved, product.labels.number[there])
 
     def __repr__(self) -> str:
-        """One line: how many memories there are, and the inner policy."""
+        """Return a line with the number of memories, and the inner policy."""
         return f"RememberingPolicy({len(self.product.memories):,} memories, {self.inner!r})"
 
 
@@ -347,8 +347,8 @@ class RememberingPolicy(_Carried):
 class LabelledPolicy(_Carried):
     """A policy of (state, label of failing) that acts on states, also after failing.
 
-    It gives up by an action, with the memory of giving up; in a dead-end from which its problem
-    counts what happens it acts on. The digit is the label.
+    It gives up together with an action, with the memory "giving up"; in a dead-end, it goes on if
+    its problem counts quantities there. The digit is the label.
     """
 
     inner: Policy  # on the product with the label
@@ -357,7 +357,7 @@ class LabelledPolicy(_Carried):
 
     @property
     def product(self) -> FailureSSP:
-        """Product with the remembered label of failing that the inner policy lives on."""
+        """Product with the label of failing on which the inner policy acts."""
         return check_label(self.inner.model)
 
     @property
@@ -367,27 +367,27 @@ class LabelledPolicy(_Carried):
 
     @property
     def ended(self) -> BoolArray:
-        """Goals, and dead-ends from which nothing counts after the remembered failing, [states]."""
+        """Goals, and dead-ends after which nothing counts, [states]."""
         return super().ended & ~self.product.is_open
 
     @property
     def staying(self) -> IntArray:
-        """Staying pairs of a policy that remembers failing: for ever where that adds nothing."""
+        """Pair of each state by which the policy surely avoids the goal, at no cost if possible."""
         decision, pairs = super().staying, self.product.staying_after
         decision[self.model.pair_state[pairs]] = pairs
         return decision
 
     def listed_states(self, memory: int) -> IntArray:
-        """States with decisions before failing, or after it, [states]."""
+        """Return the states with decisions before failing, or after it, [states]."""
         failed = memory % len(self.digits) > 0
         return np.flatnonzero(self.product.is_open if failed else ~self.ended)
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Start memory of a policy that remembers failing, before it, [episodes]."""
+        """Return the initial memory, before failing, [episodes]."""
         return self.joined(self.inner.start_memory(states), _Label.BEFORE)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Decisions of a policy that remembers failing, as the original's pairs or giving up."""
+        """Return the decisions of a policy that remembers failing, as original pairs."""
         product, (inner, label) = self.product, self.split(memory)
         here = states + product.n_original * (label == _Label.AFTER)
         situation, pair, chance, _ = self.inner.branches(here, inner)
@@ -403,9 +403,9 @@ class LabelledPolicy(_Carried):
         return Branches(situation, acting, chance / total[situation], kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Move the remembered label of failing, and the inner policy's memory, [episodes].
+        """Update the label of failing, and the inner policy's memory, [episodes].
 
-        What is paid after failing is none of the inner policy's costs.
+        The inner policy does not count costs after failing.
         """
         pairs, successors, costs = step
         product, (inner, label) = self.product, self.split(memory)
@@ -423,7 +423,7 @@ class LabelledPolicy(_Carried):
         return self.joined(inner, np.where(failed, _Label.AFTER, _Label.BEFORE))
 
     def __repr__(self) -> str:
-        """One line: where it acts after failing, and the inner policy."""
+        """Return a line with the number of states after failing, and the inner policy."""
         count = int(self.product.is_open.sum())
         return f"LabelledPolicy(goes on after failing in {count:,} states, {self.inner!r})"
 
@@ -432,24 +432,24 @@ class _Label(enum.IntEnum):
     """Label of failing in a policy's memory."""
 
     BEFORE = 0
-    GIVING_UP = 1  # with the action that comes next
+    GIVING_UP = 1  # with the next action
     AFTER = 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompletePolicy(_Carried):
-    """A policy that acts wherever there is anything to do, as another one as far as that says.
+    """A policy that extends another one to all states with actions.
 
-    The digit is 0; 1 from where on that policy is over, having given up or from a dead-end on; 2
-    from the start on where none of its episodes begins.
+    The digit is 0 while the inner policy acts, 1 once its episode is over (given up, or at a
+    dead-end), and 2 in episodes that begin where none of its own begins.
 
     Raises:
         ModelError: a decision is no pair of its state.
     """
 
     inner: Policy
-    otherwise: IntArray  # [states] pair where the inner policy has no decision, or UNDECIDED
-    afterwards: IntArray  # [states] pair where it is over, or UNDECIDED
+    otherwise: IntArray  # [states] pair if the inner policy has no decision, or UNDECIDED
+    afterwards: IntArray  # [states] pair if its episode is over, or UNDECIDED
     goes_on = True
     digits: ClassVar = "", "over", "elsewhere"
 
@@ -464,13 +464,13 @@ class CompletePolicy(_Carried):
         return np.asarray(self.model.goal_mask | (np.diff(self.model.pair_offsets) == 0))
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """The inner policy's memories, "over" and, where it does not begin, "elsewhere"."""
+        """Return the inner policy's memories, "over" and, if some states need it, "elsewhere"."""
         known = [(3 * code, words) for code, words in self.inner.memories()]
         begins = self.inner.begins(np.arange(self.model.n_states)).all()
         return [*known, (1, "over"), *([] if begins else [(2, "elsewhere")])]
 
     def listed_states(self, memory: int) -> IntArray:
-        """States with actions, those of the product where the inner policy lives on one."""
+        """Return the states with actions, of the inner policy's product if it has one."""
         inner, alone = divmod(memory, 3)
         acting = np.diff(self.model.pair_offsets) > 0
         of_product = isinstance(self.inner, RememberingPolicy) and not alone
@@ -478,13 +478,13 @@ class CompletePolicy(_Carried):
         return listed[acting[listed]]
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """The inner policy's, where its episodes begin, [episodes]."""
+        """Return the inner policy's initial memory, or 2 where it does not begin, [episodes]."""
         memory, begins = np.full(len(states), 2), self.inner.begins(states)
         memory[begins] = 3 * self.inner.start_memory(states[begins])
         return memory
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """The inner policy's decisions, or what is done where it has none."""
+        """Return the inner policy's decisions, or the stored ones where it has none."""
         inner, alone = self.split(memory)
         over = (alone == 1) | self.inner.ended[states]
         found = asked(self.inner, np.flatnonzero(~over & (alone == 0)), states, inner)
@@ -498,7 +498,7 @@ class CompletePolicy(_Carried):
         return merged(memory, planned, Branches(silent, rest, np.ones(silent.size)))
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """The inner policy's, as long as it has something to say, [episodes]."""
+        """Return the inner policy's memory after steps, until its episode is over, [episodes]."""
         pairs, _, costs = step
         check_costs(costs)
         inner, alone = self.split(memory)
@@ -509,7 +509,7 @@ class CompletePolicy(_Carried):
         return np.asarray(moved)
 
     def __repr__(self) -> str:
-        """One line: the inner policy."""
+        """Return a line with the inner policy."""
         return f"CompletePolicy({self.inner!r})"
 
 
@@ -524,19 +524,19 @@ def acting_everywhere(
     otherwise: IntArray | None = None,
     afterwards: IntArray | None = None,
 ) -> MixedPolicy:
-    """A policy that acts in every state of its model that has actions, a goal excepted.
+    """Return a policy that acts in every state of its model that has actions, except at goals.
 
-    It acts as the policy given where that decides. After giving up, and in dead-ends, it goes on as
-    the policy does where its problem counts what happens then; else it surely avoids the goal if it
-    can. ``default`` comes before that, and before what is done where there is no decision.
+    It acts as the given policy where that has a decision. After giving up, and in dead-ends, it
+    goes on as the policy does if its problem counts quantities then; otherwise it surely avoids the
+    goal if it can. ``default`` takes precedence over that, and over ``otherwise``.
 
     Args:
         policy: any policy, or a lottery.
         default: an action, for all states that have it, ``{state: action}``, or a policy without
             memory; None: none.
         otherwise: pairs where the policy has no decision, [states]; None: the first of each state.
-            A solution knows better ones (``Solution.policy_everywhere``).
-        afterwards: pairs after giving up and in dead-ends, likewise; None: that avoid the goal.
+            ``Solution.policy_everywhere`` uses better ones.
+        afterwards: pairs after giving up and in dead-ends, [states]; None: that avoid the goal.
 
     Raises:
         ModelError: an unknown state or action, or a default that is a policy of another model.
@@ -554,14 +554,14 @@ def acting_everywhere(
         named = np.array([name == default for name in model.action_names], dtype=np.bool_)
         pairs = np.flatnonzero(named[model.pair_action]) if named.any() else np.zeros(0, np.int64)
         if default is not None and not pairs.size:
-            raise ModelError(f"no state has the action {default!r} that is to be the default")
+            raise ModelError(f"no state has the action {default!r} given as default")
         preferred[model.pair_state[pairs]] = pairs
     acts = (np.diff(model.pair_offsets) > 0) & ~model.goal_mask
     first = np.where(acts, model.pair_offsets[:-1], UNDECIDED)
     planned = first if otherwise is None else np.where(otherwise >= 0, otherwise, first)
 
     def preferring(decision: IntArray) -> IntArray:
-        """Decisions that the default comes before, [states]."""
+        """Return decisions with those replaced for which there is a default, [states]."""
         return np.where(preferred >= 0, preferred, np.where(decision >= 0, decision, planned))
 
     later = np.full(model.n_states, UNDECIDED) if afterwards is None else afterwards
@@ -576,13 +576,13 @@ def acting_everywhere(
 
 @explained
 def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """Policy of a product as one that remembers its memory on the original model.
+    """Return the policy of a product as one with its memory on the original model.
 
     Args:
         policy: such as a solution's, of a problem on ``product(model, memory)``.
 
     Raises:
-        ModelError: it lives on no product.
+        ModelError: its model is not a product.
     """
     lottery = as_lottery(policy)
     kind = RememberingPolicy if lottery.model.failure_label is None else LabelledPolicy

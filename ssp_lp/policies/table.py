@@ -1,4 +1,4 @@
-"""The decisions of a policy as a table: printed, shown in notebooks, or as a frame of pandas."""
+"""Tables of a policy's decisions: as text, in notebooks, or as a pandas frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class PolicyRow(NamedTuple):
     """One decision of a policy."""
 
     state: Hashable
-    memory: Hashable  # None: nothing is remembered; else see PolicyTable
+    memory: Hashable  # None without memory; otherwise see PolicyTable
     action: Hashable  # or GIVE_UP
     probability: float
     member: int = 0  # position in the lottery
@@ -30,7 +30,7 @@ class Decisions(NamedTuple):
     """Decisions of a policy in several situations, one entry for each."""
 
     state: IntArray  # [decisions]
-    memory: IntArray  # [decisions] the policy's own number
+    memory: IntArray  # [decisions] values of the policy's memory
     pair: IntArray  # [decisions] pair of the model, or a negative code for giving up
     probability: FloatArray  # [decisions]
 
@@ -40,7 +40,7 @@ class Member(NamedTuple):
 
     weight: float
     remembers: str  # heading of the memory
-    words: Mapping[int, Hashable]  # a memory's number -> the memory in words
+    words: Mapping[int, Hashable]  # value of the memory -> its name
     decisions: Callable[[], Iterator[Decisions]]
 
 
@@ -53,11 +53,11 @@ class PolicyTable(Report, Sequence[PolicyRow]):
 
     - the cost paid so far (cost-aware policies, cost levels), "tail k" from the cap on;
     - the time step, or (time step, memory of the stage) (timed policies);
-    - the product's memory, or (it, memory of the inner policy);
-    - "before failing", "giving up" and "after failing", likewise, where that counts;
-    - "over" and "elsewhere" of a policy that acts everywhere, where the inner policy has ended, or
-      begins in no state of its own;
-    - a tuple, where several of these are remembered together.
+    - the product's memory, or (product's memory, memory of the inner policy);
+    - "before failing", "giving up" and "after failing", alone or with the inner memory;
+    - "over" and "elsewhere" in a policy that acts everywhere: after the inner policy has ended, or
+      in an episode that begins where none of its own begins;
+    - a tuple, if several of these are remembered together.
 
     Example:
         >>> from ssp_lp import SSP, DeterministicPolicy
@@ -81,7 +81,7 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         return [row for k in range(len(self.members)) for row in self._member_rows(k)]
 
     def _member_rows(self, member: int) -> Iterator[PolicyRow]:
-        """Rows of a member's decisions, made as they are asked for."""
+        """Yield the rows of a member's decisions, made on demand."""
         model, part = self.model, self.members[member]
         for block in part.decisions():
             for state, code, pair, share in zip(*(b.tolist() for b in block), strict=True):
@@ -89,7 +89,7 @@ class PolicyTable(Report, Sequence[PolicyRow]):
                 yield PolicyRow(model.states[state], part.words.get(code), action, share, member)
 
     def __len__(self) -> int:
-        """Number of decisions."""
+        """Return the number of decisions."""
         return len(self._rows)
 
     @overload
@@ -97,15 +97,15 @@ class PolicyTable(Report, Sequence[PolicyRow]):
     @overload
     def __getitem__(self, index: slice) -> list[PolicyRow]: ...
     def __getitem__(self, index: int | slice) -> PolicyRow | list[PolicyRow]:
-        """One row, or the rows of a slice."""
+        """Return a row, or the rows of a slice."""
         return self._rows[index]
 
     def __iter__(self) -> Iterator[PolicyRow]:
-        """The rows in order."""
+        """Yield the rows in order."""
         return iter(self._rows)
 
     def tables(self) -> list[Table]:
-        """A table for each of the first members, under its weight, with its first rows."""
+        """Return a table of the first rows for each of the first members, with its weight."""
         several = len(self.members) > 1
         tables = [self._member_table(k, several) for k in range(min(len(self.members), _MEMBERS))]
         if several:
@@ -119,11 +119,11 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         return tables
 
     def all_rows(self) -> Table:
-        """One table with a column for each field of a row, of all members."""
+        """Return a table with all rows of all members, with a column for each field."""
         return Table(self._rows, PolicyRow._fields)
 
     def to_frame(self) -> Any:
-        """All rows as a pandas ``DataFrame``, with a column for each field of a row.
+        """Return all rows as a pandas ``DataFrame``, with a column for each field of a row.
 
         Raises:
             MissingDependencyError: pandas is not installed.
@@ -131,11 +131,11 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         return self.all_rows().to_frame()
 
     def __repr__(self) -> str:
-        """The printed table."""
+        """Return the printed table."""
         return str(self)
 
     def _member_table(self, member: int, titled: bool) -> Table:
-        """Table of a member's first rows, with a note on the others."""
+        """Return the table of a member's first rows, with a note on the number of others."""
         part = self.members[member]
         count = sum(len(block.pair) for block in part.decisions())
         remembers = any(memory is not None for memory in part.words.values())
@@ -156,6 +156,6 @@ class PolicyTable(Report, Sequence[PolicyRow]):
 
 
 def _in_table(value: Hashable) -> str:
-    """A state, a memory or an action as it is printed: a whole number without decimals."""
+    """Return a state, a memory or an action as text: a whole number without decimals."""
     whole = isinstance(value, float) and value.is_integer()
     return f"{value:g}" if whole else str(value)

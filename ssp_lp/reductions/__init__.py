@@ -1,1 +1,1 @@
-"""Restated problems that several calls of a method answer."""
+"""Problems solved through several calls of a method on restated problems."""

@@ -1,8 +1,9 @@
-"""Exploration: a problem on an implicit model, restated on explored parts of it that grow.
+"""Exploration: a problem on an implicit model is solved on a sequence of growing explored parts.
 
-Each part is an ordinary model whose optimum is a bound of the whole model's
-(:mod:`ssp_lp.model.implicit`). A round solves the part anew and expands the states on which its
-lottery, or the lottery's right to fail where it does, rests. The last lottery rests on none.
+Each part is an ordinary model whose optimum bounds the whole model's
+(:mod:`ssp_lp.model.implicit`). A round solves the part again and expands the states in doubt: those
+on which its lottery, or the lottery's permission to fail, depends. The last lottery depends on
+none.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from ssp_lp.solution import Solution
 
 _LOG = logging.getLogger("ssp_lp.exploring")
 FIRST = 100  # states that are expanded before the first round
-_CONTRADICTED = 1e-7  # relative: what a policy attains below a bound, rounding apart
+_CONTRADICTED = 1e-7  # relative: a policy's value below a bound by more contradicts it
 
 
 def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
@@ -41,15 +42,16 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
 
     Args:
         problem: a formulation that ``check_explorable`` accepts.
-        solve: solves it on an explored part.
-        time_limit: seconds of all rounds.
+        solve: function that solves it on an explored part.
+        time_limit: seconds for all rounds.
 
     Raises:
-        ModelError: the successor function or a bound is at fault, or a bound is contradicted by a
-            policy of the explored part.
-        InfeasibleError: no policy keeps to all limits even if what is not explored was at its best.
-        OutOfTimeError: the time limit ended the rounds; it says which bound is proved.
-        KeyboardInterrupt: Ctrl-C did.
+        ModelError: the successor function or a bound is wrong, or a policy of the explored part
+            contradicts a bound.
+        InfeasibleError: no policy satisfies all limits, even if unexplored states attain their
+            bounds.
+        OutOfTimeError: the time limit ended the rounds; the error has the proved bound.
+        KeyboardInterrupt: Ctrl-C came before a solution.
     """
     began, semantics, whole = time.perf_counter(), problem.semantics, problem.model
     may_end, charged = semantics.give_up is GiveUp.DEAD_ENDS, semantics.charge_failing_step
@@ -79,8 +81,8 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
         raise interrupted(progress)
     if final is None:
         raise OutOfTimeError(
-            f"the time limit ended before all that matters was explored ({progress}): allow more "
-            "time, or give closer bounds"
+            f"the time limit ended before all states in doubt were explored ({progress}): allow "
+            "more time, or give tighter bounds"
         )
     _check_bounds(final)
     reason, seconds = f"{final.run.reason}; {progress}", time.perf_counter() - began
@@ -92,7 +94,7 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
 
 
 def _begun(problem: Problem) -> Exploration:
-    """The first states of a problem's implicit model, those that its limits name among them."""
+    """Return an exploration of a problem's implicit model, with the states in its limits."""
     whole, start = cast("ImplicitSSP", problem.model), problem.start
     begin = [*start] if isinstance(start, Mapping) else [start]
     named = [word for word in _words_of(problem) if word not in whole.labels]
@@ -102,7 +104,7 @@ def _begun(problem: Problem) -> Exploration:
 
 
 def _words_of(problem: Problem) -> list[Hashable]:
-    """States and labels whose visits a problem's limits count, each once."""
+    """Return the states and labels whose visits a problem's limits count, each once."""
     limits = (limit for _, limit in limits_of(problem))
     return list(dict.fromkeys(word for limit in limits for word in words_visited(limit)))
 
@@ -110,18 +112,19 @@ def _words_of(problem: Problem) -> list[Hashable]:
 def _answered(
     problem: Any, solve: Callable[..., Solution], time_limit: float | None
 ) -> tuple[Solution, IntArray]:
-    """Solution on an explored part, and the states in doubt.
+    """Return the solution on an explored part, and the states in doubt.
 
-    At least failure the part's policies of least failure may break a limit that others keep to:
-    it is then solved without limits, to see what these policies rest on.
+    With least failure, the part's policies of least failure may violate a limit that others
+    satisfy: it is then solved without limits, to find the states on which these policies depend.
 
     Raises:
-        ModelError: a limit counts what comes after failing.
-        InfeasibleError: no policy keeps to all limits, even if what is not explored is at its best.
+        ModelError: a limit counts quantities after failing.
+        InfeasibleError: no policy satisfies all limits, even if unexplored states attain their
+            bounds.
     """
     if problem.unrolled is not problem:
         raise ModelError(
-            "a limit counts what may come after failing, which is not explored: take "
+            "a limit counts quantities after failing, which are not explored: use "
             "give_up='dead_ends', or build the whole model, SSP.from_successors(...)"
         )
     try:
@@ -139,9 +142,9 @@ def _answered(
 
 
 def _even_at_best(error: InfeasibleError) -> InfeasibleError:
-    """The error of a part as the whole model's, of which the part's policies need not be."""
+    """Return the error of a part as one of the whole model, whose policies are no better."""
     return InfeasibleError(
-        f"even if all that is not explored is at its best: {error}",
+        f"even if unexplored states attain their bounds: {error}",
         failure_budget=error.failure_budget,
         least_failure=1.0,
         least_discounted_failure=None if error.least_discounted_failure is None else 1.0,
@@ -151,7 +154,7 @@ def _even_at_best(error: InfeasibleError) -> InfeasibleError:
 
 
 def _unmet(part: ExploredSSP, problem: Problem) -> str:
-    """Clause on the states and labels in a problem's limits that exploring has not met."""
+    """Return a clause on the states and labels in a problem's limits that were not found."""
     unmet = [
         repr(word)
         for word in _words_of(problem)
@@ -161,11 +164,11 @@ def _unmet(part: ExploredSSP, problem: Problem) -> str:
             else word in part.whole.begin or (part.successors == part.index_of(word)).any()
         )
     ]
-    return f"limits name what was not met in exploring: {', '.join(unmet)}" if unmet else ""
+    return f"limits name states or labels that were not found: {', '.join(unmet)}" if unmet else ""
 
 
 def _bound_in_words(solution: Solution) -> str:
-    """What a round proves of the objective of every policy, in words."""
+    """Return the bound that a round proves for the objective of every policy, in words."""
     if solution.problem.failure_budget is None:
         least = solution.least_failure_bound
         return "" if least is None else f", no policy fails less than {least:.9g}"
@@ -175,10 +178,10 @@ def _bound_in_words(solution: Solution) -> str:
 
 
 def states_in_doubt(solution: Solution) -> IntArray:
-    """States of the fringe on which a solution rests, or its right to fail where it does.
+    """Return the states of the fringe on which a solution, or its permission to fail, depends.
 
     Args:
-        solution: of a problem on an explored part.
+        solution: solution of a problem on an explored part.
     """
     part, semantics = cast("ExploredSSP", solution.problem.model), solution.problem.semantics
     begin = np.flatnonzero(start_distribution(part, solution.problem.start))
@@ -205,12 +208,12 @@ def states_in_doubt(solution: Solution) -> IntArray:
 
 
 def _reached(part: ExploredSSP, pairs: IntArray, begin: IntArray) -> BoolArray:
-    """States of the explored part that are come to by some pairs, [states].
+    """Return the states of the explored part that are reached by some pairs, [states].
 
     Args:
         part: the explored part.
-        pairs: those that may be taken.
-        begin: states to begin with.
+        pairs: pairs that may be taken.
+        begin: states in which the search begins.
     """
     places, counts = entries_of(part.outcome_offsets, np.sort(pairs))
     leads = np.bincount(part.pair_state[np.sort(pairs)], counts, minlength=part.n_states)
@@ -218,7 +221,7 @@ def _reached(part: ExploredSSP, pairs: IntArray, begin: IntArray) -> BoolArray:
 
 
 def _settled(part: ExploredSSP, *, charged: bool) -> tuple[BoolArray, BoolArray]:
-    """Pairs by which the goal may be avoided surely, and states known to give up as the part says.
+    """Return pairs that surely avoid the goal, and states that may certainly give up.
 
     These are attention states even if no state of the fringe is one, at the same charge.
 
@@ -245,7 +248,7 @@ def _check_bounds(solution: Solution) -> None:
     """Check the bounds of an implicit model against the policies of an answer.
 
     Raises:
-        ModelError: a policy reaches the goal more often, or for less, than a bound says.
+        ModelError: a policy reaches the goal more often, or at less cost, than a bound says.
     """
     part = cast("ExploredSSP", solution.problem.model)
     start = start_distribution(part, solution.problem.start)
@@ -275,7 +278,7 @@ def _check_bounds(solution: Solution) -> None:
 
 
 def _within(lottery: MixedPolicy) -> MixedPolicy:
-    """A lottery that decides nothing in states that were not expanded."""
+    """Return a lottery without decisions in states that were not expanded."""
     members = list[Policy]()
     for member in lottery.policies:
         if isinstance(member, DeterministicPolicy):

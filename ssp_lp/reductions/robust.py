@@ -1,10 +1,10 @@
-"""Robust optima: a problem over boxes of probabilities, restated at the worst of them.
+"""Robust optima: a problem over boxes of probabilities, restated at the worst probabilities.
 
-A policy is improved against nature, which makes the worst of it within the boxes (policy iteration
-of Hoffman and Karp, Management Science 12, 1966; Iyengar, Mathematics of Operations Research 30,
-2005). At the optimum nature has one answer to all policies: the problem at those probabilities is
-an ordinary one, whose certified bound holds for the robust optimum, too, as no policy does better
-against all of the boxes than against one point of them.
+A policy is improved against nature, which chooses the worst probabilities in the boxes for it
+(policy iteration of Hoffman and Karp, Management Science 12, 1966; Iyengar, Mathematics of
+Operations Research 30, 2005). At the optimum nature has one answer to all policies: the problem at
+those probabilities is an ordinary one, whose certified bound holds for the robust optimum, too,
+since no policy is better against all of the boxes than against one point in them.
 """
 
 from __future__ import annotations
@@ -43,21 +43,21 @@ from ssp_lp.solution import Solution
 def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
     """Solve a problem over boxes of probabilities.
 
-    Args:
+    problem: a formulation that ``check_boxed`` accepts, with ``box``.
         problem: a formulation that ``check_boxed`` accepts, with ``box``.
-        solve: solves the problem at given probabilities.
+        solve: function that solves the problem at given probabilities.
         time_limit: seconds.
 
     Returns:
-        The solution of the problem at the worst probabilities, ``solution.problem.model`` having
-        these, with the robust policy. ``objective`` is the worst value of the policy over the
-        boxes, and the bound is that of every policy's worst value.
+        The solution of the problem at the worst probabilities, which ``solution.problem.model``
+        has, with the robust policy. ``objective`` is the worst value of the policy over the boxes,
+        and the bound holds for every policy's worst value.
 
     Raises:
         InfeasibleError: failing is forbidden, and no policy reaches the goal surely at all
             probabilities in the boxes.
-        SolverError: the policies do not settle, or the bound lies above the value.
-        OutOfTimeError: the time limit passed before they had.
+        SolverError: the policy iteration does not converge, or the bound lies above the value.
+        OutOfTimeError: the time limit passed before it converged.
     """
     began, boxes, semantics = time.perf_counter(), problem.box, problem.semantics
     start = start_distribution(problem.model, problem.start)
@@ -109,10 +109,10 @@ def at_probabilities(problem: Any, probabilities: FloatArray) -> Any:
 def settled(
     boxes: Boxes, semantics: FailureSemantics
 ) -> tuple[FloatArray, IntArray, FloatArray, int]:
-    """Policy iteration against nature.
+    """Run the policy iteration against nature.
 
-    Decisions are changed only for less, so that a policy that ends surely is followed by such a
-    policy, and zero-cost cycles are never entered.
+    Decisions are changed for a strict gain only, so that a policy that surely ends is followed by
+    such a policy, and cycles of cost 0 are never entered.
 
     Returns:
         Least worst loss of each state (cost and penalty, or the failure probability), [states]; the
@@ -156,7 +156,7 @@ def settled(
         best = np.full(model.n_states, UNDECIDED, dtype=np.int64)
         best[np.diff(model.pair_offsets) > 0] = first_minimisers(mean, least, model.pair_offsets)
         decision = np.where(better, best, decision)
-    raise SolverError("the policies do not settle against the boxes")
+    raise SolverError("the policy iteration over the boxes does not converge")
 
 
 def ending(boxes: Boxes, semantics: FailureSemantics) -> tuple[IntArray, FloatArray]:
@@ -187,14 +187,14 @@ def ending(boxes: Boxes, semantics: FailureSemantics) -> tuple[IntArray, FloatAr
 
 
 def _losing(boxes: Boxes) -> tuple[IntArray, IntArray, BoolArray]:
-    """States from which nature can keep every policy from reaching the goal surely.
+    """Return the states from which nature can prevent every policy from surely reaching the goal.
 
-    In rounds: in what is left, states are taken in by pairs that nature cannot keep from the goal
-    and the states taken in before; all others are lost, with the pairs that may lead there.
+    In rounds, states are added by pairs that nature cannot keep from the goal and the states added
+    before; the remaining states are lost, with the pairs that may lead there.
 
     Returns:
         The round in which each state is lost, 0: never, [states]; a decision for the others that
-        reaches the goal surely, [states]; and the pairs that never lead to a lost state, [pairs].
+        surely reaches the goal, [states]; and the pairs that never lead to a lost state, [pairs].
     """
     model = boxes.support
     offsets, successors, goal = model.outcome_offsets, model.successors, model.goal_mask

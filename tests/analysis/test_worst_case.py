@@ -154,7 +154,7 @@ def test_measures_without_a_worst_case_are_refused_by_name():
     boxes = drawn_boxes(np.random.default_rng(4))
     model, policy = boxes.model, first_actions(boxes.model, np.random.default_rng(4))
     worst = evaluate(policy, MaxProb(model, "a"), box=boxes)
-    assert "do not occur together" in str(worst)
+    assert "need not occur together" in str(worst)
     with pytest.raises(ModelError, match="without limit"):
         _ = worst.conditional_cost
     for problem, words in (

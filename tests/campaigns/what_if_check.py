@@ -214,7 +214,7 @@ def check(seed: int, tally: Counter[str], asked: Namespace) -> Iterator[str]:
         report = what_if(problem, by=some)
         yield from told(report, tally)
     except SSPError as error:
-        if "follows failing" in str(error) or isinstance(error, SolverError):
+        if "after failing" in str(error) or isinstance(error, SolverError):
             tally[f"refused, {type(error).__name__}"] += 1
             return
         yield f"{problem!r}: {type(error).__name__}: {error}"

@@ -80,7 +80,7 @@ def test_policies_play_the_same_beside_a_model_built_anew(name, tmp_path):
     assert repr(found) == repr(policy)
     assert traces(found, start, 3) == traces(policy, start, 3)
     if name == "remembering":
-        refused("load it beside product", load_policy, path, hall())
+        refused("load it with product", load_policy, path, hall())
 
 
 @pytest.mark.slow
@@ -97,7 +97,7 @@ def test_another_model_is_refused_unless_it_differs_on_purpose(tmp_path):
     found = load_policy(path, hall(4.0), check=False)
     assert found.actions() == everywhere(hall(4.0), "fast").actions()
     for check in (True, False):
-        refused("other pairs", load_policy, path, ferry(), check=check)
+        refused("pairs differ", load_policy, path, ferry(), check=check)
 
 
 def stated(format="ssp-lp policy", **entries):
@@ -114,7 +114,7 @@ def stated(format="ssp-lp policy", **entries):
         (stated("ssp-lp solution", version=1), "no ssp-lp policy file"),
         (stated("ssp-lp model", version=1), "no ssp-lp policy file: it says 'ssp-lp model'"),
         (stated(version=99), "version 99, .* newer ssp-lp"),
-        (stated(version=0), "version 0, .*: write the policy anew"),
+        (stated(version=0), "version 0, .*: write the policy again"),
     ],
 )
 def test_files_that_are_none_are_refused(arrays, words, tmp_path):
@@ -143,7 +143,7 @@ def test_a_policy_of_a_horizon_is_read_beside_the_model_as_stated(tmp_path):
     loaded = load_policy(path, problem.model)
     assert loaded.model is problem.model
     assert evaluate(loaded, problem) == evaluate(solution.policy, problem)
-    refused("other pairs", load_policy, path, with_label("start"))
+    refused("pairs differ", load_policy, path, with_label("start"))
 
 
 def test_every_class_of_policies_can_be_saved():

@@ -105,7 +105,7 @@ def test_a_goal_may_be_a_condition(goal, tmp_path):
         ("", "", {"goal": "doen"}, r"goal 'doen' \(labels: 'done'\)"),
         ("", "", {"goal": '"doen"'}, "unknown label 'doen'"),
         ("", "", {"goal": "x=1;x=2"}, "one condition, not 2"),
-        ("", "", {"goal": 'Pmax=? [F "done"]'}, "must say of each state"),
+        ("", "", {"goal": 'Pmax=? [F "done"]'}, "must be a condition on states"),
         ("", "", {"goal": "x = 99"}, "no state has the label 'x = 99'"),
         ("", "", {"constants": "N=2"}, "undefined constants: p; give .*constants"),
         ("", "", {"constants": None}, "undefined constants: N, p; give .*constants"),
@@ -113,8 +113,8 @@ def test_a_goal_may_be_a_condition(goal, tmp_path):
         ("", "", {"constants": "N=2,p=0.1,q=1"}, "unknown undefined constant 'q'"),
         ("[walk] true : 3", "[walk] true : 2 - 3", {}, "action 'walk' of state .* negative cost"),
         ("mdp\n", "ctmc\n", {}, "is a CTMC: only MDPs and DTMCs"),
-        ("mdp\n", "mpd\n", {}, "Storm refuses it"),
-        ("x' = x + 1", "x' = x + y", {}, "Storm refuses it"),
+        ("mdp\n", "mpd\n", {}, "Storm rejects it"),
+        ("x' = x + 1", "x' = x + y", {}, "Storm rejects it"),
         ("x + 1", "x + 1000", {}, rf"{GO}: a variable leaves its bounds"),
         ("1 - p : (x'", "0.9 - p : (x'", {}, rf"{GO}: probabilities sum to 0.9, not to 1"),
     ],
@@ -178,7 +178,7 @@ def test_jani_rewards_of_edges_are_read_and_those_of_outcomes_refused(tmp_path):
     assert read_with_storm(path, goal="x = 3", constants={"p": 0.2}).model.n_states == 4
     toll = '{"exp": "p"}, "assignments": [{"ref": "toll", "value": 7}]'
     path = written(tmp_path, open_one.replace('{"exp": "p"}', toll), "walker.jani")
-    refused("only average", read_with_storm, path, goal="done", cost="toll", constants="p=0.2")
+    refused("cannot represent", read_with_storm, path, goal="done", cost="toll", constants="p=0.2")
 
 
 THREE = """mdp
@@ -252,19 +252,19 @@ def test_a_reward_that_storm_cannot_build_leaves_the_others(tmp_path):
     model = read_with_storm(path, goal="done", cost="toll").model
     assert list(model.named_costs) == ["toll"]
     assert model.states == [(0,), (1,), (2,), (3,)]
-    assert "only average" in refused(
-        "Storm refuses", read_with_storm, path, goal="done", cost="fuel"
+    assert "cannot represent" in refused(
+        "Storm rejects", read_with_storm, path, goal="done", cost="fuel"
     )
     path = jani(tmp_path, (7, 7), base=1)  # a default of 1 is paid at each outcome
-    refused("Storm refuses it", read_with_storm, path, goal="done", cost="base")
+    refused("Storm rejects it", read_with_storm, path, goal="done", cost="base")
     for cost in ("toll", "fuel", "*"):
         model = read_with_storm(path, goal="done", cost=cost).model
         assert list(model.named_costs) == ["fuel", "toll"]
     assert set(model.named_costs["fuel"]) == {7.0}
     for options in ({"at_outcomes": (0, None)}, {"fuel": 1}):
         path = jani(tmp_path, **options)
-        error = refused("Storm refuses it", read_with_storm, path, goal="done", cost="fuel")
-        assert "only average" not in error  # no cost differs between outcomes
+        error = refused("Storm rejects it", read_with_storm, path, goal="done", cost="fuel")
+        assert "cannot represent" not in error  # no cost differs between outcomes
 
 
 def test_states_of_jani_have_the_names_of_their_locations(tmp_path):
@@ -323,8 +323,8 @@ def test_models_that_are_no_decision_processes_in_floats_are_refused(tmp_path):
     with_p, _ = stormpy.instantiate_constants(program, "N=2")
     ready, _ = stormpy.instantiate_constants(program, "N=2,p=0.5")
     for words, model, goal in (
-        ("parameters for numbers", stormpy.build_model[stormpy.RationalFunction](with_p), "done"),
-        ("has fractions for numbers", stormpy.build_model[stormpy.Rational](ready), "done"),
+        ("parameters as numbers", stormpy.build_model[stormpy.RationalFunction](with_p), "done"),
+        ("has fractions as numbers", stormpy.build_model[stormpy.Rational](ready), "done"),
         ("is symbolic", stormpy.build_symbolic_model(ready), "done"),
         ("must be a model of stormpy, not dict", {}, "done"),
         ("no state has the label 'doen'", stormpy.build_model(ready), "doen"),

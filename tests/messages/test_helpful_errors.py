@@ -439,7 +439,7 @@ def test_a_convex_program_and_a_model_show_what_concerns_users():
 def test_solutions_and_problems_in_the_place_of_others_are_named(tmp_path):
     solution = solve(CROSSING)
     refused("solution must be a Solution, not MCMP", write_certificate, CROSSING, tmp_path / "c")
-    refused(r"it has one that can be: \.policy", save_policy, solution, tmp_path / "p")
+    refused(r"save its .policy instead", save_policy, solution, tmp_path / "p")
     other = SSP.from_transitions({"a": {"go": [(1.0, "b", 1.0)]}}, goal={"b"})
     refused("pass a problem on policy.model", evaluate, solution.policy, MinCost(other, "a"))
 

@@ -126,5 +126,5 @@ def test_logging_has_the_same(caplog: pytest.LogCaptureFixture, limited: bool) -
 
 
 def test_what_cannot_be_called_is_told() -> None:
-    with pytest.raises(ModelError, match="verbose=True shows how far"):
+    with pytest.raises(ModelError, match="verbose=True to show how far"):
         solve(PROBLEM, progress=True)  # type: ignore[arg-type]

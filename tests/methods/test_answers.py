@@ -220,7 +220,7 @@ def test_an_executor_of_ones_own_that_breaks_is_not_replaced() -> None:
     problems = [first, second, Deadly(FIRST, "depot", 0.05), first]
     found = solve_many(problems, executor=Frail([], 1))
     assert [isinstance(answer, Solution) for answer in found] == [True, True, False, False]
-    assert "give a new one" in str(found[3])
+    assert "pass a new one" in str(found[3])
 
 
 class Stillborn(Executor):
@@ -393,7 +393,7 @@ def test_a_sweep_is_every_combination() -> None:
         ({"problems": [TRIES]}, "takes a problem"),
         ({"problems": 3}, "problems must be a list"),
         ({"workers": 0}, "workers must be a whole number >= 1"),
-        ({"workers": 2, "executor": AtOnce()}, "leave out one of both"),
+        ({"workers": 2, "executor": AtOnce()}, "leave out workers or executor"),
         ({"executor": 2}, "executor must be an Executor or None"),
         ({"method": "magic"}, "method must be one of"),
         ({"time_limit": "1"}, "time_limit must be a number of seconds"),

@@ -410,7 +410,7 @@ FINER = {"episodes": 10, "simulator": WorldSimulator(FINE, start=(3.5,))}
         (lambda: discretise(walk(Distribution(lambda u: u / 0.0))), "finite number"),
         (lambda: replace(walk(), actions=[]), "needs actions"),
         (lambda: replace(walk(), actions=["hop", "hop"]), "needs actions"),
-        (lambda: replace(walk(), outside="hole"), "none of the dead-ends"),
+        (lambda: replace(walk(), outside="hole"), "not one of the dead-ends"),
         (lambda: walk().end_state("hole"), "goal, pit"),
         (lambda: walk().end_state(3), r"1 \.\. 2"),
         (lambda: discretise(walk(), 4), "Quadrature"),

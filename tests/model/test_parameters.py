@@ -51,7 +51,7 @@ def test_expressions_are_affine():
                   lambda: CRASH < 1, lambda: CRASH >= 1):  # fmt: skip
         refused("must be affine", wrong)
     refused("two values", lambda: CRASH + Parameter("crash", 0.2))
-    refused("goes with numbers", lambda: CRASH + "1")
+    refused("combines with numbers", lambda: CRASH + "1")
     refused("a word", Parameter, "p crash", 0.1)
     refused("no number", Parameter, "crash", "0.1")
     refused("no number", Parameter, "crash", True)

@@ -249,7 +249,7 @@ def test_a_large_horizon_is_made_without_a_loop_over_states():
 def test_what_is_refused():
     counting = Memory(start=0, update=lambda n, *step: n + 1)
     refused("more than state_limit=50 states", product, MODEL, counting, state_limit=50)
-    refused("lives on no product", on_original, solve(MCMP(MODEL, "hall")).policy)
+    refused("model is not a product", on_original, solve(MCMP(MODEL, "hall")).policy)
     made = product(MODEL, TASKS["the key before the door"], start=["hall"])
     refused("nowhere", made.start, "nowhere")
     for steps in (0, -1, 2.0, True, "many"):

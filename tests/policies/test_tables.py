@@ -71,7 +71,7 @@ def test_the_table_of_a_solution_has_what_the_plan_comes_to_nearest_first():
 def test_a_table_of_a_memory_says_where_runs_come():
     """Case S prints all costs, with a note; the solution's own table has those that runs pay."""
     solution = solve(S3P(DEPOT, "depot", 0.05))
-    note = "runs need not come to all of these: solution.policy_table()"
+    note = "runs need not reach all of these: solution.policy_table()"
     assert str(solution.policy).count(note) == 1
     assert note in solution.policy._repr_html_()
     assert [row.memory for row in solution.policy_table()] == [0.0, 0.0]
@@ -131,7 +131,7 @@ def test_a_policy_of_unknown_memory_prints_in_one_line():
     policy = Counting(DEPOT, np.array([0, -2, -2]))
     assert isinstance(policy, Policy)
     assert str(policy) == repr(policy)
-    refused("what a Counting remembers is not known", policy.table)
+    refused("the memory of a Counting is unknown", policy.table)
 
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
@@ -178,7 +178,7 @@ def test_an_action_of_a_longer_way_is_worse_by_its_reduced_cost():
 
 
 def test_what_cannot_be_explained_is_said():
-    refused("nothing is decided in 'home' alone", LOTTERY.explain, "home")
+    refused("has no decision in 'home' alone", LOTTERY.explain, "home")
     aware = solve(S3P(DEPOT, "depot", failure_budget=0.05))
-    refused(r"at the cost 77; there is 'depot' at cost 0", aware.explain, "depot", 77)
+    refused(r"at cost 77; there is 'depot' at cost 0", aware.explain, "depot", 77)
     refused("no linear program", solve(CVaR(DEPOT, "depot", 0.9)).explain, "depot")

@@ -151,21 +151,21 @@ def test_a_state_that_was_not_explored_is_named() -> None:
     [
         (lambda: S3P(walk(), 0, 0.3), "total cost of a run"),
         (lambda: CVaR(walk(), 0, 0.9, 0.3), "total cost of a run"),
-        (lambda: MCMP(walk(), 0, 0.3, horizon=5), "horizon is not for"),
+        (lambda: MCMP(walk(), 0, 0.3, horizon=5), "horizon does not support"),
         (lambda: MCMP(walk(), 0, reach_fraction=0.5), "solve MaxProb first"),
         (lambda: MCMP(walk(), 7, 0.3), "7 is not a state in which"),
         (lambda: MCMP(walk(), {7: 1.0}, 0.3), "7 is not a state in which"),
         (lambda: _limited(end_probability(HOLE) <= 0.1), "limit visits of these states"),
         (lambda: _limited(end_probability(HOLE) >= 0.1), "limit visits of these states"),
         (lambda: walk(cost_bound=3.0), "cost_bound must be a function of a state"),
-        (lambda: walk(state_labels={"unexplored": {1}}), "'unexplored' is taken"),
+        (lambda: walk(state_labels={"unexplored": {1}}), "'unexplored' is reserved"),
         (lambda: write_certificate(solve(MCMP(walk(), 0, 0.3)), "never.cert"), "in memory"),
         (lambda: _limited(visits(2, through_failure=True) <= 1.0), "after failing"),
         (lambda: _limited(secondary_cost({0: {"left": 1.0}}) <= 1.0), "have names"),
-        (lambda: MCMP(walk(), 0, 0.3).program(), "as a whole"),
-        (lambda: trace_frontier(MCMP(walk(), 0, 0.3)), "as a whole"),
-        (lambda: walk().n_states, "as a whole"),
-        (lambda: save_model(walk(), "never.npz"), "as a whole"),
+        (lambda: MCMP(walk(), 0, 0.3).program(), "before it is explored"),
+        (lambda: trace_frontier(MCMP(walk(), 0, 0.3)), "before it is explored"),
+        (lambda: walk().n_states, "before it is explored"),
+        (lambda: save_model(walk(), "never.npz"), "before it is explored"),
         (lambda: walk(growth=1.0), "growth must be a number above 1"),
         (lambda: solve(MCMP(walk(cost_bound=lambda k: -1.0), 0, 0.3)), "must be a number >= 0"),
         (lambda: solve(MCMP(walk(failure_bound=lambda k: 2.0), 0, 0.3)), r"in \[0, 1\]"),
@@ -195,7 +195,7 @@ def test_no_policy_within_the_budget_is_known_without_exploring_everything() -> 
     with pytest.raises(InfeasibleError) as error:
         solve(MCMP(failing, 0, failure_budget=bound / 2))
     assert error.value.least_failure_interval == (pytest.approx(bound), 1.0)
-    assert "even if all that is not explored is at its best" in str(error.value)
+    assert "even if unexplored states attain their bounds" in str(error.value)
     with pytest.raises(InfeasibleError):
         solve(MinCost(failing, 0))
 
@@ -328,4 +328,4 @@ def test_a_dead_end_beyond_which_nothing_arrives_is_charged_by_its_own_actions()
 
 def test_a_limit_on_a_state_that_is_not_met_is_noted() -> None:
     solution = solve(MCMP(walk(), 0, 0.3, constraints={"pit": visits("pitt") <= 0.1}))
-    assert "limits name what was not met in exploring: 'pitt'" in solution.note
+    assert "limits name states or labels that were not found: 'pitt'" in solution.note

@@ -1,1 +1,1 @@
-"""Parts of model files: their text, what they hold, and how it becomes a model and back."""
+"""Readers and writers of model files of other tools."""

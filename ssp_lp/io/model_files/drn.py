@@ -40,8 +40,8 @@ _SECTIONS = {
     "@nr_states": _NUMBER,
     "@nr_choices": _NUMBER,
 }  # fmt: skip
-"""What a section of the header must be, and what is said of another; the last four have a line of
-their own below their names."""
+"""Pattern of the content of each section of the header, and the error otherwise; the content of the
+last four is on a line of its own."""
 
 _ENTRY = re.compile(r"(state|action)\s+([^\s\[]+)\s*(?:\[([^\]]*)\])?\s*(.*)")
 _LABEL = re.compile(r'"([^"]*)"|(\S+)')
@@ -52,18 +52,18 @@ _NO_NAME = "__NOLABEL__"
 def read_drn(
     path: FilePath, *, goal: str, cost: str | None = None, dead_ends: DeadEnds | None = None
 ) -> ModelFile:
-    """Read a model from a DRN file of Storm, plain or packed as Storm packs it (or by gzip alone).
+    """Read a model from a DRN file of Storm, plain or packed as Storm does (or by gzip alone).
 
-    The cost of an action is its reward plus that of its state. Actions of goal states are dropped,
-    and of states with the label "deadlock" that no action leaves: they are dead-ends. Other labels
-    of states become ``state_labels``, but for names that reports use for something else.
+    The cost of an action is its reward plus that of its state. Actions of goal states are dropped.
+    If no action leaves a state with the label "deadlock", its actions are dropped: it is a
+    dead-end. Other labels become ``state_labels``, except for names that reports use already.
 
     Args:
         path: the file; its type is MDP or DTMC, its probabilities and rewards are numbers.
         goal: the label of the goal states.
-        cost: the name of a reward model, "" for Storm's without a name; None: the only one, or 1
-            for each action if there is none.
-        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+        cost: name of a reward model, "" for Storm's without a name; None: the only one, or 1 for
+            each action if there is none.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
             Any other state without actions that is not a goal is then an error.
 
     Returns:
@@ -80,11 +80,11 @@ def read_drn(
 
 
 def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
-    """Sections of a DRN file up to the line ``@model``, by name.
+    """Return the sections of a DRN file up to the line ``@model``, by name.
 
     Raises:
-        ModelError: naming the line: a section that is unknown, twice there or missing, or a model
-            of another type, with parameters or with intervals.
+        ModelError: naming the line: a section that is unknown, repeated or missing, or a model of
+            another type, with parameters or with intervals.
     """
     sections: dict[str, str] = {}
     for line in lines:
@@ -96,14 +96,14 @@ def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
             continue
         name, _, value = line.partition(":")
         if name in sections:
-            raise file.fault(f"{name} is there twice")
+            raise file.fault(f"{name} occurs twice")
         if name not in _SECTIONS:
-            raise file.fault(f"{name[:60]!r} is no section that can be read")
+            raise file.fault(f"{name[:60]!r} is not a known section")
         pattern, complaint = _SECTIONS[name]
         value = value.strip() if name in ("@type", "@value_type") else next(lines, "")
         sections[name] = value
         if name == "@reward_models":
-            sections[name] = file.text.rstrip("\n")  # a reward without a name is a blank more
+            sections[name] = file.text.rstrip("\n")  # unnamed rewards add a blank
         if not re.fullmatch(pattern, value):
             raise file.fault(complaint.format(name=name, value=value[:60]))
     raise file.fault("the file ends before @model")
@@ -134,10 +134,10 @@ class _Entries:
         """
         if line[:1].isdigit():
             if not self.is_action or not self.is_action[-1]:
-                raise self.file.fault("it stands before any state or action that it belongs to")
+                raise self.file.fault("a transition must follow a state or an action")
             to, _, chance = (part.strip() for part in line.partition(":"))
             if not chance or " " in chance:
-                raise self.file.fault("a transition is written 'successor : probability'")
+                raise self.file.fault("a transition must be 'successor : probability'")
             successor = self.file.integer(to)
             if successor >= self.n_states:
                 raise self.file.fault(f"there is no state {successor}")
@@ -153,9 +153,9 @@ class _Entries:
         """Add the line of a state or an action."""
         is_action = kind == "action"
         if is_action and not self.states_read:
-            raise self.file.fault("it stands before any state that it belongs to")
+            raise self.file.fault("an action must follow a state")
         if not is_action and name != str(self.states_read):
-            raise self.file.fault(f"state {self.states_read} should come here")
+            raise self.file.fault(f"expected state {self.states_read}")
         words = listed.split(",") if listed and listed.strip() else []
         if words and len(words) != (self.n_rewards or 1):
             raise self.file.fault(f"{len(words)} rewards for {self.n_rewards} reward models")
@@ -168,10 +168,10 @@ class _Entries:
             self.names.append("" if name == _NO_NAME else name)
             return
         if rest[:1] in ("{", "!"):
-            raise self.file.fault("observations and exit rates are not read")
+            raise self.file.fault("observations and exit rates are not supported")
         labels = [quoted or bare for quoted, bare in _LABEL.findall(rest)]
         if any('"' in label for label in labels):
-            raise self.file.fault("a quotation mark that has no partner")
+            raise self.file.fault("a quotation mark is missing")
         for label in dict.fromkeys(labels):
             self.labels.setdefault(label, []).append(self.states_read)
         self.states_read += 1
@@ -180,12 +180,12 @@ class _Entries:
 def _drn_body(
     file: TextFile, lines: Iterator[str], header: dict[str, str], cost: str | None
 ) -> RawModel:
-    """States, actions and transitions of a DRN file, checked against its header.
+    """Read states, actions and transitions of a DRN file, checked against its header.
 
     Raises:
-        ModelError: naming the line at fault, or no cost of this name.
+        ModelError: naming the wrong line, or the missing cost.
     """
-    # Storm writes a blank behind each name, and one name may be ""
+    # Storm writes a blank after each name, and one name may be ""
     listed = re.split("[ \t]", header.get("@reward_models", "").removesuffix(" "))
     rewards = [word.strip('"') for word in listed]
     rewards = rewards if rewards.count("") == 1 < len(rewards) else [*filter(None, rewards)]
@@ -225,12 +225,12 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """Write a model as a DRN file for Storm; packed for it if the name ends in .gz or .xz.
 
     State k of the file is the k-th of ``model.states``. Each cost is an action reward, the model's
-    own first, called "cost" where it has no name.
-    Where outcomes of an action differ in cost, the action pays the least, and a dearer outcome
-    leads through a state labelled "paying" that pays the rest: each run keeps its total, and our
-    readers take the state out again. (For other tools, what is counted up to a failure can lack
-    the rest of the step that fails.) Goal states are labelled "goal", dead-ends "deadlock", the
-    start "init"; goal states and dead-ends get a free loop.
+    own first, called "cost" if it has no name. If outcomes of an action differ in cost, the action
+    pays the least, and a more expensive outcome leads through a state labelled "paying" that pays
+    the rest: each run keeps its total, and our readers remove the state again. (In other tools, a
+    quantity counted up to a failure may lack the rest of the step that fails.) Goal states are
+    labelled "goal", dead-ends "deadlock", the start "init"; goal states and dead-ends get a free
+    loop.
 
     Args:
         model: the model.
@@ -244,8 +244,8 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
 
 
 def _drn_text(process: Exported) -> Iterator[str]:
-    """Lines of a DRN file for a model."""
-    marks: dict[int, str] = {}  # what stands behind the number of a state: its labels
+    """Yield the lines of a DRN file for a model."""
+    marks: dict[int, str] = {}  # text after the number of a state: its labels
     for name, members in process.labels.items():
         shown = name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else f'"{name}"'
         for state in np.asarray(members).tolist():

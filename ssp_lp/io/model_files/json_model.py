@@ -18,9 +18,9 @@ from ssp_lp.model import SSP
 from ssp_lp.model.ssp import DeadEnds
 
 EXPLICIT = "explicit-mdp-v1"
-"""Where the "format" of a file begins so, it lists the choices of numbered states."""
+"""Prefix of the "format" of files that list the choices of numbered states."""
 
-_LONGEST = 1 << 30  # characters of a file, so that a packed one cannot ask for all memory
+_LONGEST = 1 << 30  # characters of a file, so that a packed one cannot fill all memory
 
 
 def read_json(
@@ -29,7 +29,7 @@ def read_json(
     """Read a model from a JSON file, plain or gzip; see :func:`parse_json`.
 
     Raises:
-        ModelError: no model.
+        ModelError: the file contains no model.
         OSError: the file cannot be read.
     """
     with opened_text(path, "JSON") as file:
@@ -44,21 +44,21 @@ def parse_json(
     cost: str | None = None,
     dead_ends: DeadEnds | None = None,
 ) -> StatedModel:
-    """The model that a JSON text states, a table by name or an explicit case.
+    """Return the model in a JSON text, a table by name or an explicit case.
 
-    In a table names are words, a cost is a number or ``{name: number}``, and a number may be a
-    fraction in words, "1/3".
+    In a table names are strings, a cost is a number or ``{name: number}``, and a number may be a
+    fraction as a string, "1/3".
 
     Args:
         text: the JSON.
-        source: what to call it in errors.
-        goal: names of the goal states, or of a label of them; none: as the text says.
-        cost: the name of the cost; None: the only one.
-        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate;
-            None: as the text lists them ("dead_ends"), if it does and has this goal.
+        source: name of the text in errors.
+        goal: names of the goal states, or of a label of them; empty: those in the text.
+        cost: name of the cost; None: the only one.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate;
+            None: those in the text ("dead_ends"), if it has them and the same goal.
 
     Raises:
-        ModelError: no such table, a name twice, no goal, or one that does not occur.
+        ModelError: no such table, a repeated name, no goal, or one that does not occur.
     """
     try:
         table = json.loads(text, object_pairs_hook=_without_repetition)
@@ -67,7 +67,7 @@ def parse_json(
     except (ValueError, RecursionError) as error:
         raise ModelError(f"{source} is no JSON: {error}") from error
     if not isinstance(table, dict):
-        raise ModelError(f"{source} must hold {_TABLE}")
+        raise ModelError(f"{source} must contain {_TABLE}")
     if isinstance(table.get("format"), str):
         return _stated_model(_explicit_json(table, source, goal, cost), source, (), cost, dead_ends)
     if not isinstance(table.get("goal"), list):
@@ -78,9 +78,9 @@ def parse_json(
 def _explicit_json(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> dict[str, Any]:
-    """A published case in JSON, which lists choices by numbered state, as a model's document."""
+    """Return a published case in JSON, with choices by numbered state, as a model's document."""
     if not str(table["format"]).startswith(EXPLICIT):
-        raise ModelError(f"{source}: the format {table['format'][:40]!r} is not known")
+        raise ModelError(f"{source}: the format {table['format'][:40]!r} is unknown")
     try:
         choices, labels = table["choices"], dict(table.get("labels", {}))
         goals = {g for one in goal for g in labels.get(one, [one])} or set(table["goal"] or ())
@@ -109,24 +109,24 @@ def _explicit_json(
 
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object, in which no name may stand twice."""
+    """Return a JSON object, or raise :class:`ModelError` for a repeated name."""
     members = dict(pairs)
     if len(members) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in members if names.count(name) > 1)
-        raise ModelError(f"{twice!r} stands twice in one object")
+        raise ModelError(f"{twice!r} occurs twice in one object")
     return members
 
 
 UNIT = "unit"
-"""The cost of 1 for each step, which is never written down."""
+"""Name of the cost of 1 for each step, which files do not contain."""
 
 _TABLE = "{state: {action: [[probability, successor, cost], ...]}}"
 _FRACTION = re.compile(r"-?\d{1,300}([./]\d{1,300})?")
 
 
 class StatedModel(NamedTuple):
-    """A model as a file states it, and where it begins, if the file says so."""
+    """A model in a file, with its start, if the file has one."""
 
     model: SSP
     start: Hashable | Mapping[Hashable, float] | None = None
@@ -139,7 +139,7 @@ def _stated_model(
     cost: str | None,
     dead_ends: DeadEnds | None,
 ) -> StatedModel:
-    """The model of a JSON document: transitions by state and action, goal, start and labels.
+    """Return the model of a JSON document: transitions by state and action, goal, start and labels.
 
     Raises:
         ModelError: see :func:`parse_json`.
@@ -155,10 +155,10 @@ def _stated_model(
     labels = {name: [str(state) for state in members] for name, members in labels.items()}
     own_goal = [str(name) for name in table["goal"]]
     if dead_ends is None and listed_ends is not None and set(goal or own_goal) == {*own_goal}:
-        dead_ends = [*map(str, listed_ends)]  # of another goal they need not be dead-ends
+        dead_ends = [*map(str, listed_ends)]  # for another goal they need not be dead-ends
     goal = goal or own_goal
     if not goal:
-        told = f"{source} does not say which states are goals: name them by "
+        told = f"{source} does not list the goal states: name them by "
         raise ModelError(told, Argument("goal"))
     transitions: dict[Hashable, Any] = {}
     counted = set[str]()
@@ -173,7 +173,7 @@ def _stated_model(
             ]
             for name, outcomes in actions.items()
         }
-    # what one outcome names costs nothing elsewhere
+    # a name that an outcome lacks costs nothing there
     named = [paid for acts in transitions.values() for some in acts.values() for *_, paid in some]
     unpaid = {name: 0.0 for paid in named if isinstance(paid, dict) for name in paid}
     for paid in named:
@@ -201,7 +201,7 @@ def _stated_model(
 def _json_outcome(
     where: str, outcome: Any, cost: str | None, counted: set[str]
 ) -> tuple[Any, Hashable, Any]:
-    """An outcome, checked for its form; ``counted`` gets the name of the cost that counts."""
+    """Return a checked outcome; ``counted`` gets the name of the cost that counts."""
     fits = isinstance(outcome, list) and len(outcome) == 3
     if not fits or not isinstance(outcome[1], (str, int)):
         raise ModelError(
@@ -215,13 +215,13 @@ def _json_outcome(
         counted.add(_counted_cost(where, named, cost))
         paid = {name: _json_number(value) for name, value in named.items()}
     elif cost not in (None, FIRST_COST):
-        told = f"{where}: the costs of this model have no names, none is {cost!r}: leave out "
+        told = f"{where}: the costs of this model have no names such as {cost!r}: leave out "
         raise ModelError(told, Argument("cost"))
     return _json_number(chance), str(successor), _json_number(paid)
 
 
 def _counted_cost(where: str, costs: Mapping[str, Any], cost: str | None) -> str:
-    """The name of the cost that counts, of several: the one that is asked for, or the only one."""
+    """Return the name of the cost that counts, of several: the requested or the only one."""
     if cost is not None and cost in costs:
         return cost
     if costs and (cost == FIRST_COST or (cost is None and len(costs) == 1)):
@@ -232,7 +232,7 @@ def _counted_cost(where: str, costs: Mapping[str, Any], cost: str | None) -> str
 
 
 def _json_number(value: Any) -> Any:
-    """A number of a JSON model as the fraction that its digits state; else as it stands."""
+    """Return a number of a JSON model as the fraction of its digits; other values unchanged."""
     if isinstance(value, str) and _FRACTION.fullmatch(value) and not re.search(r"/0+$", value):
         return Fraction(value)
     return value
@@ -241,20 +241,20 @@ def _json_number(value: Any) -> Any:
 def model_in_json(
     model: SSP, start: Hashable | Mapping[Hashable, float] | None = None
 ) -> Iterator[str]:
-    """A model as a JSON text that says all that it holds, a line for each state.
+    """Yield a complete model as a JSON text, a line for each state.
 
     States and actions become words.
 
     Args:
         model: the model.
-        start: where episodes begin, if that is to be said.
+        start: where episodes begin; None: omitted.
 
     Raises:
-        ModelError: two states, or two actions of one state, make the same word.
+        ModelError: two states, or two actions of one state, have the same word.
     """
     names = [str(state) for state in model.states]
     if len(set(names)) < len(names):
-        raise ModelError("two states of the model read the same as words: name them differently")
+        raise ModelError("two states of the model have equal words: rename one of them")
     idle = np.diff(model.pair_offsets) == 0
     stated: dict[str, Any] = {
         "goal": [names[k] for k in model.goal_mask.nonzero()[0].tolist()],
@@ -269,7 +269,7 @@ def model_in_json(
     by_name = model.costs_by_name
 
     def paid(costs: Sequence[float]) -> Any:
-        """What an outcome costs: a number, or several by name, fractions in words."""
+        """Return the cost of an outcome: a number, or several by name, fractions as strings."""
         told = [str(model.exact_costs.get(cost, "")) or cost for cost in costs]
         return dict(zip(by_name, told, strict=True)) if model.named_costs else told[0]
 

@@ -1,4 +1,4 @@
-"""Models as other tools state them: what a file holds, how it becomes a model, and the way back.
+"""Raw models, as files of other tools contain them, and their conversion to models and back.
 
 Text files have an entry per line, plain or gzip; errors name the file and the line.
 """
@@ -33,7 +33,7 @@ from ssp_lp.model.ssp import ENDS, DeadEnds
 FilePath = str | PathLike[str]
 
 _LONGEST_LINE = 1 << 24
-"""Characters of a line beyond which a file is taken for no text at all."""
+"""Greatest number of characters of a line in a file that counts as text."""
 
 _GZIP, _XZ, _ZIP = b"\x1f\x8b", b"\xfd7", b"PK"  # the first two bytes of packed files
 _GZIP_LEVEL = 6  # the usual compromise of size and time; 9 takes several times as long
@@ -43,12 +43,12 @@ _BROKEN = (
     UnicodeDecodeError, EOFError, gzip.BadGzipFile, zlib.error, lzma.LZMAError, tarfile.TarError,
     zipfile.BadZipFile, NotImplementedError,
 )  # fmt: skip
-"""Errors of a file that is no text, or packed in a way that cannot be undone."""
+"""Errors of a file that is no text, or cannot be unpacked."""
 
 
 @contextmanager
 def opened_text(path: Path, what: str = "text") -> Iterator[TextIO]:
-    """A text file of a model, opened to be read.
+    """Open a text file of a model for reading.
 
     It may be plain, packed by gzip or xz, or the only file of an archive as Storm packs its models
     (tar, packed or not, or zip).
@@ -67,7 +67,7 @@ def opened_text(path: Path, what: str = "text") -> Iterator[TextIO]:
 
 @contextmanager
 def broken_files_named(path: Path, what: str) -> Iterator[None]:
-    """Errors of a file that cannot be unpacked, or is no text, as :class:`ModelError`."""
+    """Turn errors of a file that cannot be unpacked, or is no text, into :class:`ModelError`."""
     try:
         yield
     except _BROKEN as error:
@@ -76,7 +76,7 @@ def broken_files_named(path: Path, what: str) -> Iterator[None]:
 
 @contextmanager
 def _unpacked(path: Path) -> Iterator[IO[bytes]]:
-    """The bytes of a model's text file, taken out of what they are packed in."""
+    """Open a model's text file for reading its unpacked bytes."""
     with path.open("rb") as plain:
         packing = plain.read(2)
     if packing == _ZIP:
@@ -100,24 +100,24 @@ def _unpacked(path: Path) -> Iterator[IO[bytes]]:
 
 
 def _check_single(n_files: int, path: Path) -> None:
-    """Raise :class:`ModelError` unless an archive holds one file that can be read."""
+    """Raise :class:`ModelError` unless an archive contains exactly one readable file."""
     if n_files != 1:
-        raise ModelError(f"{path}: an archive must hold one file that can be read, not {n_files}")
+        raise ModelError(f"{path}: an archive must contain one readable file, not {n_files}")
 
 
 class TextFile:
-    """A text file, plain or gzip, that knows the line where it stands. Moves on as it is read."""
+    """A text file, plain or gzip, that knows its current line. Mutable."""
 
     def __init__(self, path: FilePath, comment: str) -> None:
-        """Name a file; ``comment`` is what the rest of a line that is left out begins with."""
-        self.path, self.number, self.text = Path(path), 0, ""  # the text that was last read
+        """Name a file; ``comment`` begins the rest of a line that is ignored."""
+        self.path, self.number, self.text = Path(path), 0, ""  # the text of the last line
         self._comment = comment
 
     def lines(self) -> Iterator[str]:
-        """Lines of a model's text file without comments and outer spaces.
+        """Yield the lines of a model's text file without comments and outer spaces.
 
         Raises:
-            ModelError: a line without end, no UTF-8, or a broken gzip file.
+            ModelError: a line that is too long, no UTF-8, or a broken gzip file.
             OSError: the file cannot be opened.
         """
         with opened_text(self.path) as file:
@@ -129,17 +129,17 @@ class TextFile:
                 yield self.text.strip()
 
     def fault(self, complaint: str) -> ModelError:
-        """The error that names a model's text file and the line last read."""
+        """Return the error that names a model's text file and the last line."""
         return ModelError(f"{self.path}, line {self.number}: {complaint}")
 
     def integer(self, word: str) -> int:
-        """A word of a model's text file as a whole number of 64 bits, or :class:`ModelError`."""
+        """Return a word of a text file as a whole number of 64 bits, or :class:`ModelError`."""
         if not WHOLE.fullmatch(word):
             raise self.fault(f"{word[:60]!r} is no whole number")
         return int(word)
 
     def float(self, word: str) -> float:
-        """A word of a model's text file as a number or fraction, or :class:`ModelError`."""
+        """Return a word of a model's text file as a number or fraction, or :class:`ModelError`."""
         plain = word if word.isascii() and "_" not in word else ""
         above, slash, below = plain.partition("/")
         try:
@@ -149,7 +149,7 @@ class TextFile:
 
 
 def write_text(path: FilePath, pieces: Iterable[str]) -> None:
-    """Write a model's text file piece by piece; gzip where the name ends in .gz."""
+    """Write a model's text file piece by piece; by gzip if the name ends in .gz."""
     place = Path(path)
     opener: Any = partial(gzip.open, compresslevel=_GZIP_LEVEL) if place.suffix == ".gz" else open
     with opener(place, "wt", encoding="utf-8", newline="\n") as file:
@@ -157,9 +157,9 @@ def write_text(path: FilePath, pieces: Iterable[str]) -> None:
 
 
 def write_archive(path: FilePath, pieces: Iterable[str]) -> None:
-    """Write a model's text file; packed as Storm reads it where the name ends in .gz or .xz.
+    """Write a model's text file; packed for Storm if the name ends in .gz or .xz.
 
-    That is a tar archive with this one file.
+    The packed file is a tar archive with this one file.
     """
     place = Path(path)
     if place.suffix not in (".gz", ".xz"):
@@ -184,19 +184,19 @@ def write_tar(path: FilePath, files: Mapping[str, IO[bytes]], packing: str) -> N
 
 
 FIRST_COST = "*"
-"""The name of whichever cost comes first, where a model is looked at and nothing is minimised."""
+"""Name of the first cost, for a model that is only inspected."""
 
 
 def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int | None:
-    """Position of the reward model that is the cost; None: there is none at all.
+    """Return the position of the reward model that is the cost; None if the model has none.
 
     Args:
-        source: for errors.
+        source: name of the model in errors.
         names: of the reward models; "" for one without a name.
         cost: the name; None: the only one; ``FIRST_COST``.
 
     Raises:
-        ModelError: there is none of this name, or several to choose from.
+        ModelError: no reward model has this name, or there are several to choose from.
     """
     if not names and cost in (None, "", FIRST_COST):
         return None
@@ -212,9 +212,9 @@ def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int
 
 
 def named_rewards(names: Sequence[str], costs: Sequence[FloatArray]) -> dict[str, FloatArray]:
-    """Costs of the reward models by name, where the name belongs to one alone.
+    """Return the costs of the reward models by name, if the name belongs to only one of them.
 
-    A reward model without a name is "" beside others; where it is the only one it has no name.
+    A reward model without a name is "" among several; if it is the only one it has no name.
     """
     return {
         n: c for n, c in zip(names, costs, strict=True) if names.count(n) == 1 and names != [""]
@@ -222,15 +222,15 @@ def named_rewards(names: Sequence[str], costs: Sequence[FloatArray]) -> dict[str
 
 
 INITIAL, DEADLOCK, PAYING = "init", "deadlock", "paying"
-"""Labels that the files give a meaning: initial states, dead-ends, and states between outcomes
-and their successors that pay what the action has not paid yet."""
+"""Labels with a meaning in files: initial states, dead-ends, and states between outcomes and their
+successors that pay the rest of a cost."""
 
 PAY = "pay"
-"""The action of those states."""
+"""Action of the states that pay."""
 
 
 class RawModel(NamedTuple):
-    """A model as a file states it: goal states may act, and every state may."""
+    """A model as in a file: any state may have actions, goal states included."""
 
     pair_offsets: IntArray  # [states + 1]
     outcome_offsets: IntArray  # [pairs + 1]
@@ -245,14 +245,14 @@ class RawModel(NamedTuple):
 
 
 def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
-    """Undo a raw model's states that only pay: their cost is that of the outcome before.
+    """Remove a raw model's states that only pay: their cost is added to that of the outcome before.
 
-    Such a state has the label "paying", one action, "pay", and one certain successor; it is what
-    :func:`exported` makes where the outcomes of an action differ in cost. What is counted until a
-    failure then holds the whole step again.
+    Such a state has the label "paying", one action, "pay", and one certain successor;
+    :func:`exported` makes it if the outcomes of an action differ in cost. Quantities counted until
+    a failure then include the whole step again.
 
     Args:
-        raw: what a file says.
+        raw: content of the file.
         goals: the goal states.
     """
     counts, sizes = np.diff(raw.pair_offsets), np.diff(raw.outcome_offsets)
@@ -266,16 +266,16 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
     alone = np.flatnonzero(paying)
     follower = raw.successors[raw.outcome_offsets[raw.pair_offsets[alone]]]
     paying[alone[paying[follower]]] = False  # none pays for another
-    if not paying.any() or not (raw.costs >= 0.0).all():  # no sum may hide a wrong cost
+    if not paying.any() or not (raw.costs >= 0.0).all():  # no sum hides a wrong cost
         return raw
-    # each paying state's one outcome, at other states anything
+    # each paying state's one outcome; at other states arbitrary
     firsts = np.minimum(raw.outcome_offsets[raw.pair_offsets[:-1]], raw.successors.size - 1)
     through = paying[raw.successors]
 
     def whole(costs: FloatArray) -> FloatArray:
-        """A cost of outcomes with what the state behind it pays, [outcomes]."""
+        """Return a cost of outcomes plus the cost of the paying state after it, [outcomes]."""
         rest = np.where(through, costs[firsts[raw.successors]], 0.0)
-        least = np.minimum(costs, rest)  # a negative one is not hidden by the sum
+        least = np.minimum(costs, rest)  # the sum does not hide a negative one
         return np.where(least < 0.0, least, decimal_sum(costs, rest, raw.exact_costs))
 
     moved = raw._replace(
@@ -296,7 +296,7 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
 
 
 def _with_pairs(raw: RawModel, kept: BoolArray) -> RawModel:
-    """A raw model with some of its pairs, ``kept`` [pairs]."""
+    """Return a raw model with some of its pairs, ``kept`` [pairs]."""
     sizes = np.diff(raw.outcome_offsets)
     outcomes, state = np.repeat(kept, sizes), segment_ids(raw.pair_offsets)
     counts = np.bincount(state[kept], minlength=raw.pair_offsets.size - 1)
@@ -313,10 +313,10 @@ def _with_pairs(raw: RawModel, kept: BoolArray) -> RawModel:
 
 @dataclass(frozen=True, eq=False)
 class ModelFile:
-    """A model read from a file of another tool, and where it starts.
+    """A model read from a file of another tool, and its start.
 
     Attributes:
-        model: the model; its states are numbers, or tuples of numbers where the file names them.
+        model: the model; its states are numbers, or tuples of numbers if the file names them.
         initial_states: the states that the file calls initial.
     """
 
@@ -325,10 +325,10 @@ class ModelFile:
 
     @property
     def start(self) -> Hashable:
-        """The one initial state of a file's raw model.
+        """Initial state of a file's raw model.
 
         Raises:
-            ModelError: the file names none, or several.
+            ModelError: the file names no initial state, or several.
         """
         if len(self.initial_states) != 1:
             raise ModelError(
@@ -340,20 +340,20 @@ class ModelFile:
 def finished(
     raw: RawModel, goal: str, source: object, dead_ends: DeadEnds | None = None
 ) -> ModelFile:
-    """Make a model of a raw model whose goal states bear a label.
+    """Make a model of a raw model whose goal states have a label.
 
-    Actions of goal states are dropped, and of states with the label "deadlock" that no action
-    leaves: they are dead-ends. States that only pay what an action has not paid are taken out.
+    Actions of goal states are dropped. If no action leaves a state with the label "deadlock", its
+    actions are dropped: it is a dead-end. States that only pay the rest of a cost are removed.
 
     Args:
-        raw: what the file says; its arrays are consistent.
+        raw: content of the file, with consistent arrays.
         goal: the label of the goal states.
         source: the file, for errors.
-        dead_ends: states from which no action reaches the goal, or labels of theirs ("deadlock"
-            too); None: the model may have others.
+        dead_ends: states from which no action reaches the goal, or labels of them ("deadlock"
+            too); None: not checked.
 
     Raises:
-        ModelError: no state bears the label, the numbers make no model, or another dead-end.
+        ModelError: no state has the label, wrong numbers, or another dead-end.
     """
     goals = raw.labels.get(goal)
     if goals is None or not goals.size:
@@ -372,7 +372,7 @@ def finished(
 
 
 def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP:
-    """Make a raw model's goal states, and idle ones that no action leaves, have no actions.
+    """Return the model of a raw model, dropping actions of goals and of absorbing idle states.
 
     Raises:
         ModelError: naming the source, the state and the action at fault.
@@ -398,9 +398,9 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
 
 
 def distinct_actions(names: Sequence[str], pair_offsets: IntArray) -> Sequence[str]:
-    """Action names of a raw model, distinct in each state, [pairs].
+    """Return the action names of a raw model, made distinct in each state, [pairs].
 
-    One without a name is called by its position in the state; a repeat gets a number.
+    An unnamed action is named by its position in the state; a repeated name gets a number.
     """
     state = segment_ids(pair_offsets)
     position = np.arange(state.size) - pair_offsets[state]
@@ -424,8 +424,8 @@ class Exported(NamedTuple):
     """A Markov decision process with costs for each action.
 
     Its states are those of the model, then states that pay: an outcome that costs more than the
-    cheapest of its action leads to its successor through one that pays what is missing. Goal
-    states and dead-ends stay where they are.
+    cheapest one of its action leads to its successor through a state that pays the rest. Goal
+    states and dead-ends have a loop.
     """
 
     cost_names: Sequence[str]  # the model's own first
@@ -439,7 +439,7 @@ class Exported(NamedTuple):
 
 
 def exported(model: SSP, start: Hashable) -> Exported:
-    """Rewrite a model as a raw model for another tool's file.
+    """Return a model as a raw model for another tool's file.
 
     Args:
         model: the model.
@@ -484,7 +484,7 @@ def exported(model: SSP, start: Hashable) -> Exported:
 def _split_costs(
     model: SSP, costs: Iterable[FloatArray], pair: IntArray, occurs: BoolArray
 ) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
-    """Split the costs of outcomes: the least of the pair at once, the rest on the way.
+    """Split the costs of outcomes: the least of the pair at once, the rest in a further state.
 
     Args:
         model: the model.
@@ -492,9 +492,8 @@ def _split_costs(
         pair: of each outcome that occurs, [outcomes].
         occurs: [outcomes of the model].
 
-    Returns:
-        The next state of each outcome, [outcomes]; the costs of each pair, [pairs, costs]; and of
-        each state that pays the one that follows and what it pays, [paying, costs].
+    The next state of each outcome, [outcomes]; the costs of each pair, [pairs, costs]; and for each
+    state that pays its successor and its costs, [paying, costs].
     """
     successors = model.successors[occurs].astype(np.int64)
     paid = np.stack([each[occurs] for each in costs], axis=1)
@@ -506,7 +505,7 @@ def _split_costs(
     rest = np.stack([decimal_sum(whole, part, meant) for whole, part in both], axis=1)
     following = successors[late]
     place: IntArray = following
-    for column in rest.T:  # outcomes alike in successor and rests share a state that pays
+    for column in rest.T:  # outcomes with equal successors and rests share a state that pays
         *_, place = _distinct_pairs(place.astype(np.float64), column)
     _, alone = np.unique(place, return_index=True)
     successors[late] = model.n_states + place
@@ -514,7 +513,7 @@ def _split_costs(
 
 
 def distinct_words(names: Sequence[Hashable], other: str = r"[^A-Za-z0-9_.+-]+") -> list[str]:
-    """Names in a raw model's file as distinct words, other signs replaced by underscores."""
+    """Return names as distinct words for a raw model's file, with underscores for other signs."""
     taken: set[str] = set()
     words = []
     for position, name in enumerate(names):
@@ -529,9 +528,9 @@ def distinct_words(names: Sequence[Hashable], other: str = r"[^A-Za-z0-9_.+-]+")
 def _exported_labels(
     model: SSP, start: Hashable, idle: IntArray, n_paying: int
 ) -> Mapping[str, IntArray]:
-    """Labels of an exported raw model, and those that the files give a meaning."""
+    """Return the labels of an exported raw model, with those that have a meaning in files."""
     if isinstance(start, Mapping):
-        raise ModelError("such files begin in one state: name it, or add one that draws the start")
+        raise ModelError("such files need one start state: name it, or add one that draws it")
     goals = np.flatnonzero(model.goal_mask)
     labels = {
         INITIAL: np.array([model.index_of(start)]),
@@ -549,13 +548,13 @@ def _exported_labels(
 
 
 _MOST_DISTINCT = 100_000
-"""Distinct pairs of summands beyond which sums are rounded as floats are."""
+"""Greatest number of distinct pairs of summands that are added exactly, not as floats."""
 
 
 def decimal_sum(
     one: FloatArray, other: FloatArray, exact: Mapping[float, Fraction] | None = None
 ) -> FloatArray:
-    """Add two arrays of a raw model's costs, each number meaning its shortest decimal.
+    """Add two arrays of a raw model's costs exactly, as the shortest decimals of the numbers.
 
     Args:
         one: [numbers].
@@ -563,7 +562,7 @@ def decimal_sum(
         exact: the fraction meant by a float such as 1/3.
 
     Returns:
-        The floats next to the exact sums, [numbers].
+        The floats nearest to the exact sums, [numbers].
     """
     if not (one.any() and other.any()):
         return one if one.any() else other
@@ -581,17 +580,17 @@ def decimal_sum(
 
 
 def _distinct_pairs(one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Distinct pairs of a raw model's finite costs, sorted.
+    """Return the distinct pairs of a raw model's finite costs, sorted.
 
     Args:
         one: [numbers].
         other: [numbers].
 
     Returns:
-        The first and the second number of each distinct pair, and the place of each given pair
+        The first and the second number of each distinct pair, and the position of each given pair
         among them, [numbers].
     """
-    both = np.empty(one.size, dtype=np.complex128)  # as one number: sorting rows is slow
+    both = np.empty(one.size, dtype=np.complex128)  # one number: sorting rows is slow
     both.real, both.imag = one, other
     distinct, place = np.unique(both, return_inverse=True)
     return distinct.real.copy(), distinct.imag.copy(), place.reshape(-1)

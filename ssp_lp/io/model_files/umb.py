@@ -39,14 +39,14 @@ from ssp_lp.model.ssp import DeadEnds
 _INDEX, _ACTIONS = "index.json", "actions/choices/"
 _FORMAT = 1
 _UNNAMED = "default"
-"""The identifier under which Storm writes the one reward model that has no name."""
+"""Identifier that Storm gives a reward model without a name."""
 
 _WORD = 64  # bits
 _BITS = {"bool": 1, "int": _WORD, "uint": _WORD, "double": _WORD, "rational": 2 * _WORD}
-"""Types that are read, with their sizes in bits unless they state a smaller one."""
+"""Supported types, with their default sizes in bits."""
 
 _VALUES = {"bool": "<u8", "int": "<i8", "uint": "<u8", "double": "<f8"}
-"""Types of variables, as numpy reads the bits of their values."""
+"""Types of variables, and numpy's types for the bits of their values."""
 
 _REAL = {"type": "double", "size": 64}
 _TRUTH = {"type": "bool", "size": 1}
@@ -60,23 +60,23 @@ def read_umb(
 
     The cost of an outcome is the reward of its state, its choice and its branch, added as decimals.
     States are the tuples of the values of their variables if the archive has any that distinguish
-    them; else they are numbers. Actions of goal states are dropped, and of states with the label
-    "deadlock" that no action leaves: they are dead-ends. Other labels of states become
-    ``state_labels``, but for names that reports use for something else.
+    them; otherwise they are numbers. Actions of goal states are dropped. If no action leaves a
+    state with the label "deadlock", its actions are dropped: it is a dead-end. Other labels of
+    states become ``state_labels``, except for names that reports use already.
 
     Args:
         path: the file; a Markov decision process or Markov chain in discrete time.
         goal: the label of the goal states.
-        cost: the name of a reward model, "" for one without a name; None: the only one, or 1 for
-            each action if there is none.
-        dead_ends: states from which no action reaches the goal, labels of theirs, or a predicate.
+        cost: name of a reward model, "" for one without a name; None: the only one, or 1 for each
+            action if there is none.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
             Any other state without actions that is not a goal is then an error.
 
     Returns:
         The model and its initial states.
 
     Raises:
-        ModelError: a model of another kind, or naming the file or the state and action at fault.
+        ModelError: a model of another kind, or naming the file or the wrong state and action.
         OSError: the file cannot be read.
     """
     archive = UmbArchive(path)
@@ -85,13 +85,13 @@ def read_umb(
 
 
 class UmbArchive:
-    """The arrays of a UMB archive, each checked against the sizes that belong to it.
+    """The arrays of a UMB archive, each with its size checked.
 
-    No size is taken from the index alone, so that a header by itself cannot ask for memory.
+    No size is taken from the index alone, so that a header alone cannot request memory.
     """
 
     def __init__(self, path: FilePath) -> None:
-        """Read the files of an archive; :class:`ModelError` unless it is a model that we know."""
+        """Read the files of an archive; :class:`ModelError` unless it is a supported model."""
         self.path = Path(path)
         with broken_files_named(self.path, "UMB archive"), tarfile.open(self.path) as archive:
             members = [member for member in archive if member.isfile()]
@@ -101,9 +101,9 @@ class UmbArchive:
         system = self._stated(self._index, "transition-system", dict)
         players = system.get("#players")
         if system.get("time") != "discrete" or players not in (0, 1):
-            raise self._fault("only MDPs and DTMCs are read")
+            raise self._fault("only MDPs and DTMCs are supported")
         if system.get("#observations", 0) != 0:
-            raise self._fault("models with observations are not read")
+            raise self._fault("models with observations are not supported")
         self._n_branches = self._size("branch-to-target.bin", 8)
         self._outcomes = self._offsets("choice-to-branches.bin", self._n_branches)
         self._n_choices = self._outcomes.size - 1
@@ -119,11 +119,11 @@ class UmbArchive:
         self._probability = self._stated(system, "branch-probability-type", dict)
 
     def raw_model(self, cost: str | None, source: object = None) -> RawModel:
-        """The archive's model, its states numbered.
+        """Return the archive's model, its states numbered.
 
         Args:
-            cost: the name of the reward model that is the cost, as in :func:`read_umb`.
-            source: where the model comes from, for errors; None: the file.
+            cost: name of the reward model that is the cost, as in :func:`read_umb`.
+            source: name of the model in errors; None: the file.
 
         Raises:
             ModelError: no such cost, or an array that does not fit.
@@ -155,15 +155,15 @@ class UmbArchive:
         )
 
     def states(self) -> Sequence[Hashable] | None:
-        """The values of each state's variables; None if they do not distinguish the states."""
+        """Return the values of each state's variables, or None if they are not distinct."""
         names = list(zip(*self.variables().values(), strict=True))
         return names if len(set(names)) == self._n_states else None
 
     def variables(self) -> dict[str, list[Hashable]]:
-        """The values of the variables in each state, by name, each [states].
+        """Return the values of the variables in each state, by name, each [states].
 
-        There are none where the archive describes none, or several classes of states, or a
-        variable that is optional or neither a truth value nor a whole or floating number.
+        Empty if the archive describes none, or several classes of states, or a variable that is
+        optional or neither a bool nor a whole or floating number.
 
         Raises:
             ModelError: the values do not fit their description.
@@ -199,7 +199,7 @@ class UmbArchive:
         return columns
 
     def _annotations(self, group: str) -> list[tuple[str, str, dict[str, Any]]]:
-        """Name, identifier and description of the annotations of a group, by their names."""
+        """Return name, identifier and description of the annotations of a group."""
         every = self._stated(self._index, "annotations", dict, {})
         found = []
         for key, described in self._stated(every, group, dict, {}).items():
@@ -208,11 +208,11 @@ class UmbArchive:
         return sorted(found, key=lambda each: each[:2])
 
     def _costs(self, key: str, described: dict[str, Any]) -> FloatArray:
-        """Cost of each outcome by one reward model, of state, choice and branch, [outcomes]."""
+        """Return the cost of each outcome by one reward model: of state, choice and branch."""
         kind, folder = self._stated(described, "type", dict), f"annotations/rewards/{key}"
 
         def given(entity: str, size: int) -> FloatArray:
-            """Rewards of one kind of entity, [entities]."""
+            """Return the rewards of one kind of entity, [entities]."""
             name = f"{folder}/{entity}/values.bin"
             return self._numbers(name, kind, size) if name in self._files else np.zeros(size)
 
@@ -224,7 +224,7 @@ class UmbArchive:
         return decimal_sum(of_choice[segment_ids(self._outcomes)], of_branch)
 
     def _actions(self) -> Sequence[str] | None:
-        """Action names, the position in the state where there is none, [pairs]; None: no names."""
+        """Return the action names (positions in the state if missing), [pairs]; None: no names."""
         if f"{_ACTIONS}string-mapping.bin" not in self._files:
             return None
         text = self._files.get(f"{_ACTIONS}strings.bin", b"")
@@ -239,10 +239,10 @@ class UmbArchive:
         return distinct_actions([words[code] for code in codes.tolist()], self._pairs)
 
     def _read_index(self) -> dict[str, Any]:
-        """The archive's index.
+        """Return the archive's index.
 
         Raises:
-            ModelError: there is none, or it is of another version.
+            ModelError: no index, or one of another version.
         """
         try:
             index = json.loads(self._files.get(_INDEX, b"").decode())
@@ -253,23 +253,23 @@ class UmbArchive:
         return index
 
     def _stated(self, place: Any, name: str, kind: type, *default: Any) -> Any:
-        """An entry of the index, of a kind; the default where there is none."""
+        """Return an entry of the index with this type; the default if it is missing."""
         value = place.get(name, *default) if isinstance(place, dict) else None
         if type(value) is not kind:
-            raise self._fault(f"its {_INDEX} should say {name!r}, of type {kind.__name__}")
+            raise self._fault(f"its {_INDEX} needs {name!r}, of type {kind.__name__}")
         return value
 
     def _type(self, described: dict[str, Any]) -> tuple[str, int]:
-        """Name and size in bits of a type."""
+        """Return name and size in bits of a type."""
         kind = self._stated(described, "type", str)
         most = _BITS.get(kind, 0)
         size = self._stated(described, "size", int, most)
         if not 0 < size <= most or (kind in ("double", "rational") and size != most):
-            raise self._fault(f"values of type {kind!r} with {size} bits are not read")
+            raise self._fault(f"values of type {kind!r} with {size} bits are not supported")
         return kind, size
 
     def _numbers(self, name: str, described: dict[str, Any], size: int) -> FloatArray:
-        """Real numbers of a file, [size]."""
+        """Return the real numbers in a file, [size]."""
         kind, _ = self._type(described)
         if kind == "double":
             return np.asarray(self._array(name, "<f8", size), dtype=np.float64)
@@ -282,7 +282,7 @@ class UmbArchive:
         return np.array([a / b for a, b in zip(above, below, strict=True)])
 
     def _bits(self, name: str) -> BoolArray:
-        """Truth values of a file, [states]; all false where there is none."""
+        """Return the bools in a file, [states]; all False if the file is missing."""
         if name not in self._files:
             return np.zeros(self._n_states, dtype=np.bool_)
         words = self._array(name, "<u8", -(-self._n_states // 64))
@@ -290,7 +290,7 @@ class UmbArchive:
         return bits.astype(np.bool_)
 
     def _offsets(self, name: str, n_targets: int) -> IntArray:
-        """Where the targets of each entry begin, [entries + 1]; absent, each entry has one."""
+        """Return the offsets of each entry's targets, [entries + 1]; one each without file."""
         if name not in self._files:
             return np.arange(n_targets + 1)
         offsets = self._array(name, "<i8", self._size(name, 8))
@@ -301,18 +301,18 @@ class UmbArchive:
         return np.asarray(offsets, dtype=np.int64)
 
     def _size(self, name: str, width: int) -> int:
-        """How many entries of some bytes a file has."""
+        """Return the number of a file's entries of this width in bytes."""
         return len(self._files.get(name, b"")) // width
 
     def _array(self, name: str, kind: str, size: int) -> Any:
-        """The entries of a file, [size]."""
+        """Return the entries of a file, [size]."""
         data, width = self._files.get(name, b""), np.dtype(kind).itemsize
         if len(data) != size * width:
             raise self._fault(f"{name} has {len(data)} bytes, not {size * width}")
         return np.frombuffer(data, dtype=kind)
 
     def _fault(self, complaint: str) -> ModelError:
-        """The error that names the archive."""
+        """Return the error that names the archive."""
         return ModelError(f"{self.path}: {complaint}")
 
 
@@ -379,17 +379,17 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
 
 
 def _bytes_of(values: Any, kind: str) -> bytes:
-    """Numbers as a file of a UMB archive holds them."""
+    """Return numbers as the bytes of a file in a UMB archive."""
     return np.asarray(values).astype(kind).tobytes()
 
 
 def _bit_set(members: IntArray, n_states: int) -> bytes:
-    """A set of states as a file of a UMB archive holds it."""
+    """Return a set of states as the bytes of a file in a UMB archive."""
     bits = np.zeros(-(-n_states // _WORD) * _WORD, dtype=np.bool_)
     bits[members] = True
     return np.packbits(bits, bitorder="little").tobytes()
 
 
 def _identifiers(names: Iterable[str]) -> list[str]:
-    """Identifiers of annotations of a UMB archive, which stand in the names of its files."""
+    """Return identifiers of annotations for the names of files in a UMB archive."""
     return distinct_words([name.lower() for name in names], r"[^0-9a-z_-]+")

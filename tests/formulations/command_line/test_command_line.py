@@ -142,7 +142,7 @@ def test_what_cannot_be_ends_with_3(roads: Path, run: Run) -> None:
 def test_files_and_parsers_that_refuse(tmp_path: Path, roads: Path, refused: Any) -> None:
     refused("solve", roads)  # which states are goals is not said
     refused("info", tmp_path / "none.json", "--goal", "g")
-    with pytest.raises(ModelError, match=r"ends in none of \.json"):
+    with pytest.raises(ModelError, match=r"must end in one of \.json"):
         read_any(tmp_path / "roads.txt", ["g"])
     refused("info", written(tmp_path, "{"), "--goal", "home", complaint="is no JSON")
     numbers = read_any(written(tmp_path, {"0": {"go": [[1, 1, 2.5]]}}), ["1"]).model
@@ -242,14 +242,14 @@ def test_limits_in_words(tmp_path: Path, told: Told, refused: Any) -> None:
     [
         ("--start deopt", "did you mean 'depot'"),
         ("--failure-budget 5", "--failure-budget must be a probability, not 5.0; did you mean 0.0"),
-        ("--criterion maxprob --failure-budget .1", "takes no"),
+        ("--criterion maxprob --failure-budget .1", "has no"),
         ("--limit fuel", "a limit is a quantity"),
         ("--limit oil<=3", "'oil' is no quantity of this model; quantities are 'cost'"),
         ("--limit fuel<=x", '"x" in "fuel<=x" is no number'),
         ("--limit x*fuel<=3", "is no number"),
         ("--limit visits(home<=3", "is no sum of quantities"),
         ("--limit visits(depto)<=3", "depto"),
-        ("--penalty 3", "mcmp takes no --penalty; its options: --failure-budget"),
+        ("--penalty 3", "mcmp has no --penalty; its options: --failure-budget"),
         ("--criterion cvar", "cvar needs --level"),
         ("--policy-out policy.txt", "a policy is written as .npz, .json, .h, .csv"),
         ("--horizon 0", "--horizon must be a whole number >= 1, not 0"),
@@ -368,7 +368,7 @@ def test_a_saved_policy_is_simulated(
     refused("simulate", dearer, *played, complaint="or give --no-check if it differs")
     assert run("simulate", dearer, *played, "--no-check")[0] == 0
     other = written(tmp_path, {"depot": {"go": [[1, "home", 1]]}})
-    refused("simulate", other, *played, complaint="has other pairs")
+    refused("simulate", other, *played, complaint="whose pairs differ")
 
 
 def test_the_program_is_written(roads: Path, tmp_path: Path, run: Run) -> None:
@@ -585,20 +585,20 @@ def test_a_certain_goal_is_asked_for_at_least_cost(tmp_path: Path, told: Told) -
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("multi(", "no property that is understood"),
-        ('Pmax=? [G "ok"]', "no property that is understood"),
-        ('Pmin=? [F "ok"]', "what is asked is Pmax=? or Rmin=?"),
-        ('R{"time"}max=? [F "ok"]', "what is asked is Pmax=? or Rmin=?"),
+        ("multi(", "not a supported property"),
+        ('Pmax=? [G "ok"]', "not a supported property"),
+        ('Pmin=? [F "ok"]', "the objective must be Pmax=? or Rmin=?"),
+        ('R{"time"}max=? [F "ok"]', "the objective must be Pmax=? or Rmin=?"),
         ('P>=0.9 [F "ok"]', "one operator must ask =?, not 0"),
         ('multi(Pmax=? [F "ok"], Rmin=? [C])', "one operator must ask =?, not 2"),
         ('multi(Rmin=? [C], P<=0.1 [F "crash"])', "one goal must be reached, not []"),
         ('multi(Rmin=? [F "ok"], P>=0.9 [F "lost"])', "one goal must be reached"),
-        ('multi(Pmax=? [F "ok"], R{"fuel"}>=2 [C])', "at most so much"),
-        ('multi(Pmax=? [F "ok"], P>= [F "ok"])', "a number goes with"),
+        ('multi(Pmax=? [F "ok"], R{"fuel"}>=2 [C])', "an upper bound only"),
+        ('multi(Pmax=? [F "ok"], P>= [F "ok"])', "need a number"),
         ('multi(Pmax=? [F "ok"], P>=x [F "ok"])', "'x' is no number"),
-        ("multi(Rmin=? [C], P>=0.9 [C])", "a probability is one of reaching"),
+        ("multi(Rmin=? [C], P>=0.9 [C])", "P needs a target"),
         ('multi(Pmax=? [F<=3 "ok"], P>=0.5 [F "ok"])', "the same number of steps"),
-        ('multi(R{"fuel"}min=? [C], P>=0.9 [F "ok"])', "--cost says something else"),
+        ('multi(R{"fuel"}min=? [C], P>=0.9 [F "ok"])', "--cost contradicts the property"),
     ],
 )
 def test_other_properties_are_refused(

@@ -213,7 +213,7 @@ def test_seeds_repeat_and_steps_are_limited():
         refused(None, rollout, env, policy, **{"episodes": 1, "seed": 0, **wrong})
     model = SSP.from_transitions({0: {0: [(1.0, 1, 1.0)]}}, goal={1})
     other = solve(MCMP(model, 0, failure_budget=0.0)).policy
-    refused("of no environment", rollout, env, other, episodes=1, seed=0)
+    refused("has no environment", rollout, env, other, episodes=1, seed=0)
 
 
 def test_single_precision_is_rounding_and_more_is_not():

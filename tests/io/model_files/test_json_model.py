@@ -40,7 +40,7 @@ def test_a_table_and_a_document_say_the_same():
     assert (table.start, document.start) == (None, "depot")
     assert list(document.model.state_labels) == ["end", "crash"]
     check_the_same(table.model, document.model)
-    refused("does not say which states are goals", stated, ROADS)
+    refused("does not list the goal states", stated, ROADS)
 
 
 def test_costs_by_name():
@@ -115,7 +115,7 @@ EXPLICIT = {"format": "explicit-mdp-v1", "init": 0, "goal": [1]}
     [
         ("{", "is no JSON"),
         pytest.param("[" * 100_000, "is no JSON", id="nested-too-deeply"),
-        ([1], "must hold"),
+        ([1], "must contain"),
         ({"a": [1]}, "state 'a' needs"),
         ({"a": {"go": [[1, "home"]]}}, "action 'go' of state 'a'"),
         ({"a": {"go": [[1, ["home"], 1]]}}, "action 'go' of state 'a'"),
@@ -123,10 +123,10 @@ EXPLICIT = {"format": "explicit-mdp-v1", "init": 0, "goal": [1]}
         ({"a": {"go": [[1, "home", "x"]]}}, "no number"),
         ({"a": {"go": [[1, "home", "1/0"]]}}, "no number"),
         ({"a": {"go": [[1, "home", -1]]}}, "negative cost"),
-        ('{"a": {"go": [[1, "home", 1]]}, "a": {}}', "'a' stands twice"),
+        ('{"a": {"go": [[1, "home", 1]]}, "a": {}}', "'a' occurs twice"),
         ({"goal": [], "transitions": []}, "'transitions' must be an object"),
         ({"goal": [], "labels": {"x": 1}, "transitions": {}}, "label 'x' must be a list"),
-        ({"format": "other"}, "format 'other' is not known"),
+        ({"format": "other"}, "format 'other' is unknown"),
         (EXPLICIT, "is no explicit-mdp-v1 file"),
         ({**EXPLICIT, "choices": [[{"name": "a", "to": [[1]], "rewards": {}}]]}, "is no explicit"),
     ],

@@ -153,10 +153,10 @@ def test_a_drn_text_reads_as_it_should(tmp_path):
     [
         ("@type: MDP", "@type: POMDP", "line 2: models of type 'POMDP'"),
         ("@type: MDP\n", "", "@type and @nr_states must come"),
-        ("@type: MDP", "@tpye: MDP", "line 2: '@tpye' is no section"),
+        ("@type: MDP", "@tpye: MDP", "line 2: '@tpye' is not a known section"),
         ("double", "double-interval", "line 3: values of type"),
         ("@parameters\n", "@parameters\np", "line 5: a model with parameters"),
-        ("@model", "@nr_states\n4\n@model", "@nr_states is there twice"),
+        ("@model", "@nr_states\n4\n@model", "@nr_states occurs twice"),
         ("\n4\n", "\n1000000000000000\n", "the header says 1000000000000000 states"),
         ("\n4\n", "\n-4\n", "is no number"),
         ("\n4\n", "\n3\n", "there is no state 3"),
@@ -164,20 +164,20 @@ def test_a_drn_text_reads_as_it_should(tmp_path):
         ("1 : 0.5", "1 : 0.6", "action 'go' of state 0: probabilities sum to 1.1"),
         ("1 : 0.5", "1 : half", "line 15: 'half' is no number"),
         ("1 : 0.5", "1 : 1/0", "line 15: '1/0' is no number"),
-        ("1 : 0.5", "1 : [0.4, 0.5]", "line 15: a transition is written"),
-        ("1 : 0.5", "1 0.5 :", "line 15: a transition is written"),
+        ("1 : 0.5", "1 : [0.4, 0.5]", "line 15: a transition must be"),
+        ("1 : 0.5", "1 0.5 :", "line 15: a transition must be"),
         ("1 : 0.5", "1_0 : 0.5", "line 15: '1_0' is no whole number"),
         ("1 : 0.5", "99999999999999999999 : 0.5", "line 15: .* is no whole number"),
         ("[0.2, 1]", "[0.2]", "line 14: 1 rewards for 2"),
         ("[0.2, 1]", "[-1, 1]", "action 'go' of state 0 has a negative cost"),
         ("[0.2, 1]", "[nan, 1]", "action 'go' of state 0 has a cost that is NaN"),
-        ("state 2", "state 7", "line 23: state 2 should come here"),
-        ('"a place"', '"a place', "no partner"),
+        ("state 2", "state 7", "line 23: expected state 2"),
+        ('"a place"', '"a place', "quotation mark is missing"),
         ("state 1 [3,3] done", "state 1 !3 done", "exit rates"),
         ("// between", "between", "line 26: neither a state"),
-        ("\taction 0\n", "", "line 24: it stands before"),
+        ("\taction 0\n", "", "line 24: a transition must follow"),
         ("\t\t0 : 1\nstate 1", "state 1", "action 'go#2' of state 0 has no outcomes"),
-        ("@model", "@modle", "is no section"),
+        ("@model", "@modle", "is not a known section"),
         (DRN[DRN.index("@model") :], "", "the file ends before @model"),
     ],
 )
@@ -212,7 +212,7 @@ def test_a_packed_drn_is_read_as_storm_packs_it(kind, tmp_path):
     assert all(np.array_equal(getattr(found, name), getattr(known, name)) for name in ARRAYS)
     for members in ({}, {"a.drn": DRN, "b.drn": DRN}):
         in_archive(path, kind, members)
-        refused("m.drn.gz: an archive must hold one file", read_drn, path, goal="done")
+        refused("m.drn.gz: an archive must contain one readable file", read_drn, path, goal="done")
     in_archive(path, kind, DRN)
     content = path.read_bytes().rstrip(b"\0")
     path.write_bytes(content[: len(content) // 2])
@@ -257,7 +257,7 @@ def test_lines_of_drn_may_be_spaced_and_commented(tmp_path):
         assert list(found.action_names) == list(map(str, model.action_names))
         wrong = written.replace("state 40", "state 41", 1)
         line = wrong[: wrong.index("state 41")].count("\n") + 1
-        refused(rf"line {line}: state 40 should come", read_drn, drn(tmp_path, wrong), goal="goal")
+        refused(rf"line {line}: expected state 40", read_drn, drn(tmp_path, wrong), goal="goal")
 
 
 def test_what_storm_writes_is_read(tmp_path):
