@@ -54,7 +54,7 @@ class Tightened(Facts):
         return two_sided_gap(self.objective, self.lower_bound)
 
     def tables(self) -> list[Table]:
-        """The worst values of the lottery, the bound and the gap."""
+        """Return the worst values of the lottery, the bound and the gap."""
         weights = ", ".join(f"{weight:.6g}" for weight in self.policy.weights)
         return [
             Table([
@@ -142,7 +142,7 @@ class _Pool:
             self.plans.setdefault((worst.objective, worst.failure_probability), policy)
 
     def lottery(self) -> MasterOptimum:
-        """The best lottery over the plans."""
+        """Return the best lottery over the plans."""
         cost, failure = np.array(list(self.plans)).T
         return secant(cost, failure, np.array([self.problem.failure_budget]))
 
@@ -163,7 +163,7 @@ class _Pool:
                 return
 
     def tightened(self) -> Tightened:
-        """The best lottery with its bound."""
+        """Return the best lottery with its bound."""
         best, policies = self.lottery(), [*self.plans.values()]
         used, failures = np.flatnonzero(best.weights), np.array([*self.plans])[:, 1]
         return Tightened(
@@ -177,7 +177,7 @@ class _Pool:
 
 
 def _safest(problem: Problem, box: Boxes) -> _Pool:
-    """The pool of the plan whose worst failure probability is least.
+    """Return a pool with the plan whose worst failure probability is least.
 
     Raises:
         InfeasibleError: even that one is above the budget.

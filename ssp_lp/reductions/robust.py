@@ -160,7 +160,7 @@ def settled(
 
 
 def ending(boxes: Boxes, semantics: FailureSemantics) -> tuple[IntArray, FloatArray]:
-    """A policy that gives up wherever it may, and the charges of doing so.
+    """Return a policy that gives up wherever it may, and the charges of doing so.
 
     Returns:
         Its decisions, [states]; worst charges of giving up, or of entering a dead-end, [states].

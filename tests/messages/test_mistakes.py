@@ -175,7 +175,7 @@ def test_a_policy_that_never_succeeds_has_no_cost_given_success():
         (lambda: MCMP(model={"depot": ROUTES}, start="depot"), "model must be an SSP"),
         (lambda: MCMP(MODEL, 0.05, "depot"), "failure_budget must be a number"),
         (lambda: MCMP(MODEL, "depot", failure_budget=True), "must be a number or None, not True"),
-        (lambda: MCMP(MODEL, {"depot": "all"}), "'depot' is no number"),
+        (lambda: MCMP(MODEL, {"depot": "all"}), "state 'depot' must be a number"),
         (lambda: MCMP(MODEL, np.array([1.0])), "must be a state or"),
         (lambda: S3P(MODEL, "depot", 0.2, cost_cap="much"), "cost_cap must be a number"),
         (lambda: GUBS(MODEL, "depot", 3.0, 1.0), "utility must be a function"),
