@@ -613,17 +613,20 @@ class WhatIf(Report):
             return None, f"{side}: a number would be negative"
         step = sign * min(_STEP, most / 4.0)
         try:
-            near, far = (_Optimum.of(change.applied(self.problem, k * step)) for k in (1.0, 2.0))
-            slopes = near.along(change), far.along(change)
+            near, far, last = (
+                _Optimum.of(change.applied(self.problem, k * step)) for k in (1, 2, 3)
+            )
+            slopes = near.along(change), far.along(change), last.along(change)
         except InfeasibleError:
             return None, f"{side}: infeasible"
         except SSPError as error:
             return None, f"{side}: {error}"
-        slope, bend = 2.0 * slopes[0] - slopes[1], abs(slopes[1] - slopes[0])
+        slope = 3.0 * (slopes[0] - slopes[1]) + slopes[2]  # a parabola through them, at 0
+        bend = abs(slopes[1] - slopes[0])
         between = (far.objective - near.objective) / step
         before = (near.objective - self.optimum.objective) / step
         room = _AGREES * (1.0 + abs(slope)) + bend
-        if abs(between - sum(slopes) / 2.0) > room or abs(before - slope) > room:
+        if abs(between - (slopes[0] + slopes[1]) / 2.0) > room or abs(before - slope) > room:
             return None, f"{side}: the formula disagrees with nearby optima"
         return float(slope), ""
 

@@ -5,6 +5,7 @@ from ssp_lp.plotting.curves import (
     plot_bounds,
     plot_cost_law,
     plot_frontier,
+    plot_parameter,
     plot_tornado,
 )
 from ssp_lp.plotting.explorer import Explorer, explore
@@ -26,6 +27,7 @@ __all__ = [
     "plot_frontier",
     "plot_grid_policy",
     "plot_lottery",
+    "plot_parameter",
     "plot_paths",
     "plot_tornado",
     "row_major",

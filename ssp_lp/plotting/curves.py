@@ -7,6 +7,7 @@ distinguishing mark.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,6 +22,7 @@ from ssp_lp.methods.frontier import Frontier
 from ssp_lp.model.arguments import explained
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.solution import Solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -396,4 +398,42 @@ def plot_tornado(
     ax.axvline(0.0, color=INK, linewidth=1.0)
     dress_axes(ax, f"change of the optimum {effects.optimum.objective:.6g}", "")
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+    return ax
+
+
+@explained
+def plot_parameter(solutions: Iterable[object], name: str, *, ax: Axes | None = None) -> Axes:
+    """Draw the optimum as a function of a parameter of the model, with its slope at each point.
+
+    The slopes are those of ``solution.what_if()``; where the one to the left and the one to the
+    right differ there is a kink. Errors among the answers, such as infeasible problems, are left
+    out.
+
+    Args:
+        solutions: answers to the same question at several values of the parameter, such as
+            ``solve_many(sweep(...))``.
+        name: of the parameter.
+        ax: where to draw; None: a new figure.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        ModelError: fewer than two of the problems have an optimum and the parameter.
+    """
+    solved = [one for one in solutions if isinstance(one, Solution)]
+    solved = [one for one in solved if name in one.problem.model.parameters]
+    if len(solved) < 2:
+        raise ModelError(f"a curve over parameter {name!r} needs two solutions of models with it")
+    solved.sort(key=lambda one: one.problem.model.parameters[name].value)
+    at = np.array([one.problem.model.parameters[name].value for one in solved])
+    optima = np.array([one.objective for one in solved])
+    ax, half = axes_or_new(ax), 0.4 * float(np.diff(at).min(initial=np.inf))
+    for x, y, one in zip(at.tolist(), optima.tolist(), solved, strict=True):
+        (effect,) = one.what_if(
+            by=lambda number: name if number.name == f"parameter {name}" else None
+        ).effects
+        for slope, end in ((effect.left, -half), (effect.right, half)):
+            if slope is not None:
+                ax.plot([x, x + end], [y, y + slope * end], color=LOOKS[1].colour, linewidth=2.5)
+    ax.plot(at, optima, color=LOOKS[0].colour, marker=LOOKS[0].marker, linestyle=":")
+    dress_axes(ax, name, "optimum")
     return ax

@@ -10,8 +10,8 @@ import pytest
 
 from formulations import ISSPUDE, MCMP, S3P, CVaR, FinitePenalty, MaxProb, MinCost, MinProb
 from refusing import refused
-from ssp_lp import SSP, Change, OutOfTimeError, secondary_cost, solve, within_steps
-from ssp_lp.plotting import plot_tornado
+from ssp_lp import SSP, Change, OutOfTimeError, Parameter, secondary_cost, solve, within_steps
+from ssp_lp.plotting import plot_parameter, plot_tornado
 from tests.campaigns import what_if_check
 
 plt.switch_backend("Agg")
@@ -231,6 +231,23 @@ def test_the_numbers_of_a_tornado_are_its_bars():
     plt.close("all")
     nothing = SSP.from_transitions({"a": {"go": [(1.0, "home", 0.0)]}}, {"home"})
     refused("nothing to draw", plot_tornado, solve(MaxProb(nothing, "a")).what_if())
+
+
+def test_the_slopes_of_a_curve_are_one_sided_derivatives():
+    crash = Parameter("crash", 0.2)
+    ways = {"fast": [(1 - crash, "home", 1.0), (crash, "pit", 1.0)], "safe": [(1.0, "home", 2.0)]}
+    model = SSP.from_transitions({"road": ways, "pit": {}}, {"home"}, dead_ends={"pit"})
+    at = [0.05, 0.1, 0.2]
+    solutions = [solve(MCMP(model.with_parameters(crash=p), "road", 0.1)) for p in (0.2, 0.05, 0.1)]
+    axes = plot_parameter(solutions, "crash")
+    *tangents, curve = axes.lines
+    optima = [max(1.0, 2.0 - 0.1 / p) for p in at]  # the share 0.1 / p takes the fast road
+    assert curve.get_xydata().ravel() == pytest.approx(np.stack([at, optima], axis=1).ravel())
+    slopes = [np.diff(line.get_ydata())[0] / np.diff(line.get_xdata())[0] for line in tangents]
+    assert slopes == pytest.approx([0.0, 0.0, 0.0, 10.0, 2.5, 2.5], abs=1e-6)
+    plt.close("all")
+    refused("two solutions", plot_parameter, solutions[:1], "crash")
+    refused("two solutions", plot_parameter, [*solutions, 3], "fuel")
 
 
 def test_a_change_is_a_vector():
