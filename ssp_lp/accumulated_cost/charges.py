@@ -71,11 +71,11 @@ class TailValues(NamedTuple):
 
     def row(self, number: int) -> TailValues:
         """The tail values of one policy among several, by its number in the first index."""
-        return TailValues(*(each[number] for each in self))
+        return TailValues(*[each[number] for each in self])
 
     def chosen(self, last: BoolArray) -> TailValues:
         """Tail values of the last policy where ``last``, of the first elsewhere, like ``last``."""
-        return TailValues(*(np.where(last, each[-1], each[0]) for each in self))
+        return TailValues(*[np.where(last, each[-1], each[0]) for each in self])
 
 
 class Charge(ABC):

@@ -297,7 +297,7 @@ class ChargedLayers:
     totals: Totals  # what the layers stand for, and which step leads where
     charge: Charge
 
-    @property
+    @cached_property
     def cap(self) -> int:
         """Number of layers of the process below the last total."""
         return self.totals.size

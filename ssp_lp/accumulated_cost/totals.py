@@ -339,7 +339,7 @@ class Totals:
         values, steps = (read_only(totals_of(np.arange(n), unit)) for n in (cap + 1, width))
         return cls(values, steps, complete=True, unit=unit)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of totals below the cap."""
         return len(self.values) - 1
@@ -428,52 +428,6 @@ class Totals:
         """Number of totals that must be at hand: up to the farthest that steps lead to."""
         farthest = -1 if self.ahead is None else int(self.ahead.max(initial=-1))
         return max(len(self.beyond), farthest + 1)
-
-
-_SLACK = 4  # the buffer holds this many windows, so that all is moved once in three windows
-
-
-class Window:
-    """Values of the next layers, nearest first; a layer is pushed at the front."""
-
-    def __init__(self, first: FloatArray, totals: Totals | None = None) -> None:
-        """Begin at the cap.
-
-        Args:
-            first: values of the layers beyond the cap, [layers, ...].
-            totals: which step leads where; None: to as many layers ahead as it costs units.
-        """
-        self._length = len(first) if totals is None else totals.span
-        self._leads = None if totals is None else totals.ahead
-        self._layer = 0 if totals is None else totals.size - 1
-        self._buffer = np.zeros((_SLACK * self._length, *first.shape[1:]))
-        self._front = len(self._buffer) - self._length
-        self._buffer[self._front : self._front + len(first)] = first
-
-    @property
-    def ahead(self) -> FloatArray:
-        """Values of the totals ahead, a layer each, contiguous, [layers, ...]."""
-        return self._buffer[self._front : self._front + self._length]
-
-    @property
-    def flat(self) -> FloatArray:
-        """Values of the totals that steps lead to, one layer after the other, [layers * nodes]."""
-        ahead = self.ahead
-        if self._leads is not None:
-            ahead = ahead[self._leads[self._layer]]
-        return ahead.reshape(-1, *ahead.shape[2:])
-
-    def push(self, layer: FloatArray) -> None:
-        """Put a total's layer at the front of the window and drop the farthest."""
-        self._layer -= 1
-        if self._length == 0:
-            return
-        if self._front == 0:
-            back = len(self._buffer) - self._length
-            self._buffer[back:] = self._buffer[: self._length]
-            self._front = back
-        self._front -= 1
-        self._buffer[self._front] = layer
 
 
 _MOST_ON_GRID = 1600  # of a grid, unless more are asked for

@@ -166,16 +166,6 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
     return run
 
 
-@contextmanager
-def without_twins() -> Iterator[None]:
-    """Context in which no function begins again: a loop that is not compiled is compiled."""
-    before, _frames.depth = _frames.depth, 0
-    try:
-        yield
-    finally:
-        _frames.depth = before
-
-
 class _Frames(threading.local):
     """Functions with a twin that this thread is in."""
 

@@ -6,13 +6,16 @@ Index arrays come as unsigned views: signed ones cost a test for negative positi
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import prange
 
 from ssp_lp.arrays import MACHINE_EPSILON
 from ssp_lp.compiled.cores import compiled_loop, one_or_all_cores
+
+if TYPE_CHECKING:
+    from ssp_lp.accumulated_cost.sweep import Layers
 
 Array = np.ndarray[Any, Any]
 
@@ -32,24 +35,6 @@ class OneLayer(NamedTuple):
     weight: float  # of the charge
     owed: Array  # [pairs] cost beside the charge, non-negative
     saved: Array  # [pairs] earned, non-negative
-
-
-class Layers(NamedTuple):
-    """A block of layers, as a compiled pass reads it."""
-
-    order: Array  # [nodes] each after those that its free steps lead to, as far as may be
-    turns: int  # over a layer, at most; 1: free steps do not go round
-    offsets: Array  # [nodes + 1] pairs of each node
-    indptr: Array  # [pairs + 1]
-    classes: Array  # [entries] of steps; 0: a free one, within the layer
-    nodes: Array  # [entries] to where it leads
-    data: Array  # [entries]
-    leads: Array  # [layers, classes] layer that a step leads to; or [1, classes] how many ahead
-    paid: Array  # [layers] total
-    charge: Array  # [layers or 1, columns] of arriving
-    column: Array  # [pairs] among them
-    growth: Array  # [pairs] what a unit of the total adds to the charge, or empty
-    counted: Array  # [pairs, counted] beside the charge
 
 
 @compiled_loop(inline="always")
