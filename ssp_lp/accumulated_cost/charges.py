@@ -72,11 +72,11 @@ class TailValues(NamedTuple):
 
     def row(self, number: int) -> TailValues:
         """Return the values of one policy among several, by its row."""
-        return TailValues(*(each[number] for each in self))
+        return TailValues(*[each[number] for each in self])
 
     def chosen(self, last: BoolArray) -> TailValues:
         """Return the values of the last policy where ``last``, else of the first, like ``last``."""
-        return TailValues(*(np.where(last, each[-1], each[0]) for each in self))
+        return TailValues(*[np.where(last, each[-1], each[0]) for each in self])
 
 
 class Charge(ABC):

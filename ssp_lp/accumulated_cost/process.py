@@ -296,7 +296,7 @@ class ChargedLayers:
     totals: Totals  # the accumulated cost of each layer, and the layers that steps lead to
     charge: Charge
 
-    @property
+    @cached_property
     def cap(self) -> int:
         """Number of layers below the cap."""
         return self.totals.size

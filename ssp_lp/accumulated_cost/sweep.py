@@ -18,16 +18,17 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from math import fsum
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.process import AccumulatedCost, ChargedLayers, LayeredProcess
-from ssp_lp.accumulated_cost.totals import Totals, Window
+from ssp_lp.accumulated_cost.totals import Totals
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
     FloatArray,
     IntArray,
+    csr_of,
     least_integer_type,
     unsigned,
     weighted,
@@ -50,9 +51,6 @@ from ssp_lp.dynamic_programming.equations import COMPONENTS
 from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 
-if TYPE_CHECKING:
-    from ssp_lp.compiled.layers import Layers
-
 _ONE, _NONE = np.ones(1), np.zeros(0)
 
 _BELOW_EVERY_VALUE = 1e-6
@@ -69,6 +67,9 @@ _MOST_CELLS = 8_000_000
 _MOST_ENTRIES = 30_000
 """Entries of a layer without free steps from which one call for each layer costs little."""
 
+_FEW_CELLS = 1_000_000
+"""Most entries of all layers without free steps for one pass by numpy."""
+
 _MOST_WITHIN = 20.0
 """Most expected steps within a layer, of any policy, for turns instead of equations."""
 
@@ -78,9 +79,27 @@ _MOST_CHARGES = 20_000_000
 """Most charges, arriving pairs times layers, if the charge is not the total cost."""
 
 
-CompiledPass: TypeAlias = "tuple[Layers, FloatArray]"
-"""The layers, and the bound of the steps within a layer, [nodes]; empty if free steps are
-acyclic."""
+class Layers(NamedTuple):
+    """A block of layers, as input of a pass over them."""
+
+    order: IntArray  # [nodes] each after the nodes its free steps lead to, as far as possible
+    turns: int  # most sweeps over a layer; 1: free steps have no cycles
+    offsets: IntArray  # [nodes + 1] pairs of each node
+    indptr: IntArray  # [pairs + 1]
+    classes: IntArray  # [entries] class of the step; 0: a free step within the layer
+    nodes: IntArray  # [entries] successor
+    data: FloatArray  # [entries]
+    leads: IntArray  # [layers, classes] layer that a step leads to; or [1, classes] layers ahead
+    paid: FloatArray  # [layers] total
+    charge: FloatArray  # [layers or 1, columns] charge of arriving
+    column: IntArray  # [pairs] column of the charge
+    growth: FloatArray  # [pairs] increase of the charge per unit of the total, or empty
+    counted: FloatArray  # [pairs, counted] quantities in addition to the charge
+
+
+OnePass: TypeAlias = tuple[Layers, FloatArray, bool]
+"""The layers; the bound of the steps within a layer, [nodes], empty if free steps are acyclic; and
+whether the pass is compiled."""
 
 
 class Priced(NamedTuple):
@@ -135,11 +154,6 @@ class Sweep:
         """First pair of each node, [nodes]."""
         return self.pair_offsets[:-1]
 
-    @property
-    def n_nodes(self) -> int:
-        """Number of nodes of a layer."""
-        return len(self.pair_offsets) - 1
-
     @cached_property
     def start(self) -> FloatArray:
         """Start mass of the nodes, [nodes]."""
@@ -162,7 +176,7 @@ class Sweep:
     def room_for_choice(self, layers: int | None = None) -> IntArray:
         """Return an empty array for a choice over layers, in the smallest integer type."""
         most = int(np.diff(self.pair_offsets).max(initial=1))
-        size = self.process.cap if layers is None else layers, self.n_nodes
+        size = self.process.cap if layers is None else layers, len(self.first_pairs)
         return np.empty(size, dtype=least_integer_type(most))
 
     @with_twin
@@ -345,7 +359,7 @@ class Sweep:
 
     def _blocks(
         self,
-        compiled: CompiledPass,
+        compiled: OnePass,
         priced: Priced,
         values: FloatArray,
         measures: FloatArray | None = None,
@@ -370,9 +384,10 @@ class Sweep:
             The layers of the block, their values, [layers, nodes], and measures, [layers, nodes,
             1 + counted]. The next block reuses the memory.
         """
-        from ssp_lp.compiled.layers import sweep_layers
-
-        (whole, within), run = compiled, cast(Callable[..., None], sweep_layers)
+        run: Callable[..., None] = _sweep_plainly
+        whole, within, is_compiled = compiled
+        if is_compiled:
+            from ssp_lp.compiled.layers import sweep_layers as run
         cap, span = self.process.cap, self.process.totals.span
         counts = 1 + self.counted.shape[1]
         ahead = [values, np.zeros((len(values), 0, counts)) if measures is None else measures]
@@ -434,12 +449,22 @@ class Sweep:
         Yields:
             The layer, and its numbers, [nodes, ...] each.
         """
-        totals = self.process.totals
-        windows = [Window(numbers, totals) for numbers in beyond]
+        leads, span = self.process.totals.ahead, self.process.totals.span
+        size = _SLACK * span + 1  # of the numbers at hand, the nearest layer in front
+        rooms = [np.zeros((size, *numbers.shape[1:])) for numbers in beyond]
+        for room, numbers in zip(rooms, beyond, strict=True):
+            room[size - span :][: len(numbers)] = numbers
+        front = size - span
         for layer in backward(self.process.cap):
-            swept = step(layer, *(window.flat for window in windows))
-            for window, numbers in zip(windows, swept, strict=True):
-                window.push(numbers)
+            ahead = slice(front, front + span) if leads is None else front + leads[layer]
+            swept = step(layer, *(room[ahead].reshape(-1, *room.shape[2:]) for room in rooms))
+            if front == 0:
+                front = size - span
+                for room in rooms:
+                    room[front:] = room[:span]
+            front -= 1
+            for room, numbers in zip(rooms, swept, strict=True):
+                room[front] = numbers
             yield layer, swept
 
     def _measures(self, layer: int, chosen: IntArray, ahead: FloatArray) -> FloatArray:
@@ -477,20 +502,24 @@ class Sweep:
         return self.is_acyclic and accelerated(self.process.base.later.nnz, "layers.follow_layer")
 
     @property
-    def one_pass(self) -> CompiledPass | None:
-        """The data of the compiled backward pass; None: it does not run compiled."""
+    def one_pass(self) -> OnePass | None:
+        """The layers as a backward sweep in one pass reads them; None: it goes layer by layer."""
         process, base = self.process, self.process.base
         cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
         if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
             return None
         loops = ("layers.sweep_layers", *(COMPONENTS if base.instant.nnz else ()))
-        if base.n_nodes == 0 or not accelerated(base.later.nnz * process.cap, *loops):
+        entries = base.later.nnz * process.cap
+        if base.n_nodes == 0:
             return None
-        return self._compiled_pass
+        is_compiled = accelerated(entries, *loops)
+        is_plain = self.is_acyclic and entries + len(base.gain) * process.cap <= _FEW_CELLS
+        whole = self._whole_pass if is_compiled or is_plain else None
+        return None if whole is None else (*whole, is_compiled)
 
     @cached_property
-    def _compiled_pass(self) -> CompiledPass | None:
-        """The data of the compiled backward pass, for any task.
+    def _whole_pass(self) -> tuple[Layers, FloatArray] | None:
+        """The layers as a backward sweep in one pass reads them, whatever is asked for.
 
         None if the charges are too many, or runs of free steps too long.
         """
@@ -499,8 +528,6 @@ class Sweep:
         columns = len(base.gain) if self.on_top is not None else len(arriving) + 1
         if not process.grows_evenly and columns * cap > _MOST_CHARGES:
             return None
-        from ssp_lp.compiled.layers import Layers
-
         order: IntArray = np.arange(base.n_nodes, dtype=np.uint32)
         within, turns, instant = _NONE, 1, base.instant
         if instant.nnz:
@@ -548,6 +575,48 @@ class Sweep:
             return self.first_pairs
         leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
         return approach_leaving(base.instant_dynamics, leaving)
+
+
+def _sweep_plainly(
+    layers: Layers, weight: float, owed: FloatArray, saved: FloatArray, values: FloatArray,
+    measured: FloatArray, position: IntArray, keeps: bool, _: FloatArray, given: FloatArray,
+) -> None:  # fmt: skip
+    """Backward sweep over a block of layers without free steps, as of ``layers.sweep_layers``."""
+    n, offsets, nodes = layers.offsets.size - 1, layers.offsets.astype(np.int64), layers.nodes
+    width, number = (int(layers.leads.max(initial=0)) + 1) * n, np.arange(offsets[-1])
+    begins, lengths, is_even = offsets[:-1], np.diff(offsets), len(layers.leads) == 1
+
+    def columns(leads: IntArray) -> IntArray:
+        """Where the values stand that each step leads to, [entries]."""
+        return (leads * n)[layers.classes].astype(np.int32) + nodes.view(np.int32)
+
+    indptr, shape = layers.indptr.view(np.int32), (number.size, width)
+    steps = csr_of(layers.data, columns(layers.leads[0]), indptr, shape)
+    alone, rounding = np.maximum(owed, saved), backup_rounding(steps)
+    for layer in range(len(layers.paid) - 1, -1, -1):
+        if not is_even:
+            steps.indices[:] = columns(layers.leads[layer])
+        here, first = slice(layer * n, (layer + 1) * n), layer * n if is_even else 0
+        ahead = slice(first, first + width)
+        charged = layers.charge[layer if len(layers.charge) > 1 else 0][layers.column]
+        growth = layers.paid[layer] * layers.growth if layers.growth.size else 0.0
+        if not keeps:
+            own, more = weight * charged, weight * growth
+            total = own + more + owed - saved + steps @ values[ahead]
+            if given.size:
+                size = np.abs(own) + more + owed + saved + steps @ np.abs(values[ahead])
+                single = size == np.maximum(alone, np.abs(own))
+                total = np.where(single, total, total - rounding * size)
+            least = np.minimum.reduceat(total, begins)
+            values[here] = np.minimum(least, given[layer]) if given.size else least
+            if not given.size:
+                nearest = np.where(total == least.repeat(lengths), number, number.size)
+                position[layer] = np.minimum.reduceat(nearest, begins) - begins
+        if measured.size:
+            pick = begins + position[layer]
+            measured[here] = (steps @ measured[ahead])[pick]
+            measured[here, 0] += (charged + growth)[pick]
+            measured[here, 1:] += layers.counted[pick]
 
 
 def at_weights(
@@ -613,6 +682,8 @@ _ON_ITS_WAY = 0.01
 """Share of the arrived mass that may still be waiting, for a guess."""
 
 _LAYERS_BETWEEN = 8  # layers between two checks of it
+
+_SLACK = 4  # a room holds this many windows, so that all is moved once in three windows
 
 _DROPPED = 1e-9
 """Mass of a node that a guess drops."""

@@ -341,7 +341,7 @@ class Totals:
         values, steps = (read_only(totals_of(np.arange(n), unit)) for n in (cap + 1, width))
         return cls(values, steps, complete=True, unit=unit)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of totals below the cap."""
         return len(self.values) - 1
@@ -431,52 +431,6 @@ class Totals:
         """Number of layers ahead that a sweep must hold: up to the farthest a step leads to."""
         farthest = -1 if self.ahead is None else int(self.ahead.max(initial=-1))
         return max(len(self.beyond), farthest + 1)
-
-
-_SLACK = 4  # windows in the buffer, which is moved once every three windows
-
-
-class Window:
-    """Values of the next layers in a backward sweep, nearest first; layers are pushed in front."""
-
-    def __init__(self, first: FloatArray, totals: Totals | None = None) -> None:
-        """Start at the cap.
-
-        Args:
-            first: values of the layers beyond the cap, [layers, ...].
-            totals: the totals to which steps lead; None: as many layers ahead as they have units.
-        """
-        self._length = len(first) if totals is None else totals.span
-        self._leads = None if totals is None else totals.ahead
-        self._layer = 0 if totals is None else totals.size - 1
-        self._buffer = np.zeros((_SLACK * self._length, *first.shape[1:]))
-        self._front = len(self._buffer) - self._length
-        self._buffer[self._front : self._front + len(first)] = first
-
-    @property
-    def ahead(self) -> FloatArray:
-        """Values of the layers ahead, contiguous, [layers, ...]."""
-        return self._buffer[self._front : self._front + self._length]
-
-    @property
-    def flat(self) -> FloatArray:
-        """Values of the layers that steps lead to, [layers * nodes, ...]."""
-        ahead = self.ahead
-        if self._leads is not None:
-            ahead = ahead[self._leads[self._layer]]
-        return ahead.reshape(-1, *ahead.shape[2:])
-
-    def push(self, layer: FloatArray) -> None:
-        """Push a layer in front and drop the farthest one."""
-        self._layer -= 1
-        if self._length == 0:
-            return
-        if self._front == 0:
-            back = len(self._buffer) - self._length
-            self._buffer[back:] = self._buffer[: self._length]
-            self._front = back
-        self._front -= 1
-        self._buffer[self._front] = layer
 
 
 _MOST_ON_GRID = 1600  # most totals of a grid, unless the user sets more

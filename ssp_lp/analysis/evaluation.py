@@ -497,14 +497,12 @@ def layered_measures(
     waiting = np.zeros((moves.room, model.n_states, 3 * len(survivals)))
     waiting[0, :, ::3] = start[:, None]
     stopped = np.zeros((2, model.n_states))  # mass that ends in each state, and that gives up there
-    ends, parts, first = np.zeros(len(model.state_labels) + 3), list[FloatArray](), 0
-    if layers.even:
-        charged = costs.stage, costs.stopping, np.isinf(costs.charge), costs.goes_on
-        together = moves.follow_evenly(waiting, survivals, hopeful, charged, stopped)
-        if together is None:
-            return None
-        parts, first = list(together), len(together)
-    for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful, first):
+    charged = costs.stage, costs.stopping, np.isinf(costs.charge), costs.goes_on
+    together = moves.follow_evenly(waiting, survivals, hopeful, charged, stopped)
+    if together is None:
+        return None
+    ends, parts = np.zeros(len(model.state_labels) + 3), list(together)
+    for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful, len(parts)):
         hopes, quits = hopeful[layer, here], pairs == GIVE_UP_CODE
         if (quits & np.isinf(costs.charge[here])).any() or (pairs == UNDECIDED).any():
             return None

@@ -166,16 +166,6 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
     return run
 
 
-@contextmanager
-def without_twins() -> Iterator[None]:
-    """Return a context in which no function restarts: missing loops are compiled."""
-    before, _frames.depth = _frames.depth, 0
-    try:
-        yield
-    finally:
-        _frames.depth = before
-
-
 class _Frames(threading.local):
     """Number of running functions with a twin, by thread."""
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
+from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.cores import compiled_loop
 from ssp_lp.compiled.deadline import check_time
 
@@ -156,18 +156,6 @@ def _close_component(
         label[opened[n_open]], number[opened[n_open]] = found, _CLOSED
         if opened[n_open] == state:
             return n_open
-
-
-@compiled_loop
-def mark_leading(
-    indptr: Array, indices: Array, data: Array, states: Array, marked: BoolArray
-) -> None:
-    """Mark each of some states, one by one, that leads to a marked state."""
-    for s in states:
-        for k in range(indptr[s], indptr[np.uint32(s + 1)]):
-            if data[k] > 0.0 and marked[indices[k]]:
-                marked[s] = True
-                break
 
 
 @compiled_loop

@@ -6,13 +6,16 @@ Index arrays are unsigned views, as numba tests signed indices for negative valu
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import prange
 
 from ssp_lp.arrays import MACHINE_EPSILON
 from ssp_lp.compiled.cores import compiled_loop, one_or_all_cores
+
+if TYPE_CHECKING:
+    from ssp_lp.accumulated_cost.sweep import Layers
 
 Array = np.ndarray[Any, Any]
 
@@ -32,24 +35,6 @@ class OneLayer(NamedTuple):
     weight: float  # weight of the charge
     owed: Array  # [pairs] cost in addition to the charge, non-negative
     saved: Array  # [pairs] reward, non-negative
-
-
-class Layers(NamedTuple):
-    """A block of layers, as input of a compiled pass."""
-
-    order: Array  # [nodes] each after the nodes its free steps lead to, as far as possible
-    turns: int  # most sweeps over a layer; 1: free steps have no cycles
-    offsets: Array  # [nodes + 1] pairs of each node
-    indptr: Array  # [pairs + 1]
-    classes: Array  # [entries] class of the step; 0: a free step within the layer
-    nodes: Array  # [entries] successor
-    data: Array  # [entries]
-    leads: Array  # [layers, classes] layer that a step leads to; or [1, classes] layers ahead
-    paid: Array  # [layers] total
-    charge: Array  # [layers or 1, columns] charge of arriving
-    column: Array  # [pairs] column of the charge
-    growth: Array  # [pairs] increase of the charge per unit of the total, or empty
-    counted: Array  # [pairs, counted] quantities in addition to the charge
 
 
 @compiled_loop(inline="always")

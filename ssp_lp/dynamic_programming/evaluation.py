@@ -232,7 +232,7 @@ def _verified_totals(
         off, missed = np.empty_like(x), np.zeros(rewards.shape[1])
         for j in range(rewards.shape[1]):
             check_time()
-            columns = (np.ascontiguousarray(part[:, j]) for part in (rewards, x, low))
+            columns = [np.ascontiguousarray(part[:, j]) for part in (rewards, x, low)]
             off[:, j], rounding = system.moves.precise_advantages(*columns)
             missed[j] = (np.abs(off[:, j]) + rounding).max(initial=0.0)
         scale = _sizes_of_totals(x)

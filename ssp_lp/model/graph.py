@@ -39,7 +39,6 @@ Fact = TypeVar("Fact")
 _TURNS = 1_000  # of a search, between two checks of the time
 _FAR = np.iinfo(np.int32).max - 1  # distance of what cannot be reached
 _FEW, _FEW_ENTRIES = 32, 128  # states, and their predecessors, that a loop handles faster
-_MANY_ENTRIES = 20  # one in so many steps: from this share on, looking at all of them is faster
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,23 +237,6 @@ def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
     return np.asarray(steps @ states.astype(np.float64) > 0.0)
 
 
-def _with_outcomes(model: Graph, marked: BoolArray) -> BoolArray:
-    """Return the pairs of the graph with a marked outcome of positive probability, [pairs].
-
-    Args:
-        model: the graph.
-        marked: [outcomes].
-    """
-    check_time()
-    having = np.zeros(model.n_pairs, dtype=np.bool_)
-    # a pair of a process may have no outcome but an end
-    filled = (model.outcome_offsets[1:] > model.outcome_offsets[:-1]).nonzero()[0]
-    if filled.size:
-        possible = marked & (model.probabilities > 0)
-        having[filled] = np.logical_or.reduceat(possible, model.outcome_offsets[filled])
-    return having
-
-
 def attention_pairs(model: SSP, attention: BoolArray) -> BoolArray:
     """Return the pairs of attention states whose successors are all attention states, [pairs].
 
@@ -343,7 +325,6 @@ def nearer_pairs(
     if distance is not None:
         distance[:] = steps[:n] - reached[:n]
     steps[:n][~reached[:n]] = _FAR
-    check_time()
     after = np.repeat(steps[:n], np.diff(before.offsets)) + 1
     nearest = np.zeros(len(pair_state), dtype=np.bool_)
     nearest[before.pairs[steps[sources[: after.size]] == after]] = True
@@ -373,7 +354,7 @@ def drain(
         if closed_states.size < _FEW and entries < _FEW_ENTRIES:
             closed_states = _drain_one_by_one(model, open_pairs, open_counts, closed_states)
             continue
-        if _MANY_ENTRIES * entries > model.n_outcomes:
+        if _FEW * entries > model.n_outcomes:  # looking at all of them is faster
             closed = np.zeros(model.n_states, dtype=np.bool_)
             closed[closed_states] = True
             pairs: IntArray = (open_pairs & pairs_into(model, closed)).nonzero()[0]
@@ -498,7 +479,9 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
         _, first, back = np.unique(strong, return_index=True, return_inverse=True)
         label[pending] = first[back[pending]]
         here = label[model.pair_state].repeat(np.diff(model.outcome_offsets))
-        crossing = _with_outcomes(model, label[model.successors] != here)
+        away = (label[model.successors] != here) & (model.probabilities > 0)
+        crossing = np.zeros(model.n_pairs, dtype=np.bool_)
+        crossing[segment_ids(model.outcome_offsets)[away]] = True
         leaving = (links & crossing).nonzero()[0]
         torn = np.zeros_like(pending)
         torn[label[model.pair_state[leaving]]] = True

@@ -83,8 +83,8 @@ def test_nothing_is_compiled_in_a_short_call(loops):
     """Numba cannot be interrupted: a call of a second that compiled would end late."""
     for seconds, compiles in ((1.0, False), (19.0, False), (100.0, True)):
         with until(time.perf_counter() + seconds):
-            assert accelerated(10 * SECOND, "graphs.mark_leading") is compiles
-    assert accelerated(1, "graphs.mark_leading")
+            assert accelerated(10 * SECOND, "graphs._close_component") is compiles
+    assert accelerated(1, "graphs._close_component")
 
 
 def test_earlier_processes_count(loops, tmp_path):
@@ -192,8 +192,8 @@ def test_damaged_files_of_numba_are_compiled_anew(tmp_path):
 
 
 def test_the_index_of_an_older_source_does_not_count(loops):
-    put_in_cache("backups.back_up", "graphs.mark_leading", "no_module.loop")
-    (index,) = accelerator.cache_folders()[0].glob("graphs.mark_leading*")
+    put_in_cache("backups.back_up", "graphs._close_component", "no_module.loop")
+    (index,) = accelerator.cache_folders()[0].glob("graphs._close_component*")
     os.utime(index, (0, 0))
     assert accelerator.cached_loops() == {"backups.back_up"}
     assert not loops.cached

@@ -22,7 +22,6 @@ from ssp_lp import (
     evaluate,
     solve,
 )
-from ssp_lp.accumulated_cost.totals import Window
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.dynamic_programming import chain_solvers, equations
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
@@ -128,15 +127,6 @@ def test_steps_that_skip_many_layers() -> None:
         risky = budget / 0.1
         paid = (1 - risky) * 92 + 0.9 * risky * 3
         assert by_columns.objective == pytest.approx(paid / (1 - budget), rel=1e-9)
-
-
-def test_the_window_slides() -> None:
-    window = Window(np.arange(6.0).reshape(3, 2))
-    layers = [np.array([10.0 + i, 20.0 + i]) for i in range(25)]
-    for i, layer in enumerate(layers):
-        window.push(layer)
-        expected = [*reversed(layers[max(i - 2, 0) : i + 1]), *np.arange(6.0).reshape(3, 2)][:3]
-        assert np.array_equal(window.ahead, np.array(expected))
 
 
 @pytest.mark.parametrize("seed", range(20))
