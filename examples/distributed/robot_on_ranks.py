@@ -1,4 +1,4 @@
-"""The paper's robot on the ranks of PETSc: each discretises its own cells, and none has them all.
+"""The paper's robot on the ranks of PETSc: each rank discretises and holds only its own cells.
 
     mpiexec -n 2 python examples/distributed/robot_on_ranks.py --segments 40 --headings 24
 
@@ -17,12 +17,12 @@ from ssp_lp.distributed import PartitionedModel
 
 
 def shared_robot(grid: RobotGrid) -> PartitionedModel:
-    """Return the robot's grid model, the rows of each rank's states made by itself."""
+    """Return the robot's grid model, of which each rank builds the rows of its own states."""
     return PartitionedModel.from_continuous(continuous_robot(grid), Quadrature(grid.quadrature))
 
 
 def report(model: PartitionedModel, **asked: Any) -> list[str]:
-    """Solve and evaluate, all ranks together; return lines that tell who has what, and how."""
+    """Solve and evaluate on all ranks; return lines on each rank's part and on the solution."""
     answer = model.solve(MCMP, **asked)
     measured, halo = model.evaluate(answer.policy, MCMP, **asked), model.part.halo
     parts = model.ranks.comm.allgather((halo.first, halo.end, model.part.n_outcomes))
@@ -41,7 +41,7 @@ def report(model: PartitionedModel, **asked: Any) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Make, ask and print."""
+    """Build the model, solve the problem and print the report."""
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--segments", type=int, default=20, metavar="N", help="cells a side; 20")
     parser.add_argument("--headings", type=int, default=12, metavar="N", help="of the robot; 12")

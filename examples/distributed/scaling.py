@@ -1,16 +1,16 @@
-"""How memory and seconds go with the number of ranks: the paper's robot, and a windy corridor.
+"""Memory and seconds by the number of ranks, on the paper's robot and a windy corridor.
 
     python examples/distributed/scaling.py --ranks 1 2 4 --robots 40x24 80x36 --turns 3
 
-starts mpiexec itself. Every number of ranks, and the local method on as many threads as --threads
-says, is a whole process of its own; they take turns, and ratios are medians over the turns of what
-stands in one turn. Seconds are those of the slowest rank, after one small question has loaded the
-compiled loops; memory is the most that a rank had resident, with Python and all libraries, and what
-was resident before the model was made.
+starts mpiexec itself. Every number of ranks, and the local method on --threads threads, runs in
+separate processes; they alternate in turns, and ratios are medians of the ratios within a turn.
+Seconds are those of the slowest rank, after a small problem has loaded the compiled loops; memory
+is the greatest resident memory of a rank, with Python and all libraries, and the resident memory
+before the model was built.
 
-Strong scaling asks the same of more ranks: the least cost of the robot, exact and discounted. Weak
-scaling gives each rank as many states of a corridor whose width grows with them; what is near the
-start, and so the cost, stays the same.
+Strong scaling solves the same problem on more ranks: the least cost of the robot, exact and
+discounted. Weak scaling gives each rank an equal number of states of a corridor whose width grows
+with the number of ranks; the part near the start, and so the cost, does not change.
 """
 
 import json
@@ -52,26 +52,26 @@ WORST = 0.02  # probability of falling where the ground is worst
 WAYS = ((1, 0), (1, -1), (1, 1), (2, 0))  # cells ahead and across that are meant; the last runs
 
 Results = dict[str, list[dict[str, Any]]]
-"""What each kind of process measured, a turn after the other."""
+"""Kind of process -> its measurements, turn by turn."""
 
 
 def corridor(width: int) -> tuple[Callable[[int, int], StateRows], int, int]:
-    """Return a windy corridor of so many lanes: its rows, their number, and the start.
+    """Return a windy corridor with a number of lanes: its rows, their number, and the start.
 
-    Lanes follow each other, so that neighbours are at most LENGTH numbers apart. Who runs may fall
-    through rotten ground; who walks never fails. Behind the cells come the goal and the hole.
+    Lanes follow each other, so that neighbours are at most LENGTH numbers apart. Running may fail
+    on rotten ground; walking never fails. The goal and the hole come after the cells.
     """
     n, middle = width * LENGTH, width // 2
     goal, hole = n, n + 1
 
     def rows(first: int, end: int) -> StateRows:
-        """Return the rows of some cells; the goal and the hole have none."""
+        """Return the rows of a range of cells; the goal and the hole have none."""
         here = np.arange(first, min(end, n))
         lane, along = np.divmod(here, LENGTH)
         ground = (7 * along + 5 * (lane - middle)) % RISKS / (RISKS - 1)
 
         def cell(ahead: int, across: int) -> npt.NDArray[Any]:
-            """Return where so many cells ahead and across lead: walls stop, the end is the goal."""
+            """Return the cell a move leads to: walls stop it, the end is the goal."""
             there = np.clip(lane + across, 0, width - 1) * LENGTH + along + ahead
             return np.where(along + ahead < LENGTH, there, goal)
 
@@ -98,21 +98,21 @@ def corridor(width: int) -> tuple[Callable[[int, int], StateRows], int, int]:
 
 
 def shared_corridor(width: int) -> tuple[PartitionedModel, int]:
-    """Return the corridor whose rows the ranks make, and its start."""
+    """Return the corridor, whose rows the ranks build, and its start."""
     rows, n_states, start = corridor(width)
     return PartitionedModel.from_rows(rows, n_states, [n_states - 2]), start
 
 
 def most_resident() -> float:
-    """Return the most memory that this process had resident, in MB, as Linux tells it."""
+    """Return the peak of this process's resident memory, in MB, on Linux."""
     told = Path("/proc/self/status").read_text(encoding="utf-8")
     return next(int(line.split()[1]) for line in told.splitlines() if "VmHWM" in line) / 1024
 
 
 def measured(world: str, discount: float | None, budget: float, ranks: int) -> Any:
-    """Return what one process, or its ranks, measure of one question; None beside the first rank.
+    """Return the measurements of one problem by a process or its ranks; None except on rank 0.
 
-    world: such as "40x24", a robot, or "corridor 200", of so many lanes.
+    world: such as "40x24", a robot, or "corridor 200", a corridor of 200 lanes.
     ranks: 0 for the local method.
     """
     asked: dict[str, Any] = {"discount": discount}
@@ -131,7 +131,7 @@ def measured(world: str, discount: float | None, budget: float, ranks: int) -> A
         return model.solve(MCMP, **given) if ranks else solve(MCMP(model, **given))
 
     def gathered(mine: Any) -> list[Any]:
-        """Return what each rank has, on every rank."""
+        """Return the values of all ranks, on every rank."""
         return model.ranks.comm.allgather(mine) if ranks else [mine]
 
     model, start = built("6x4")
@@ -166,9 +166,9 @@ def measured(world: str, discount: float | None, budget: float, ranks: int) -> A
 
 
 def said(*command: str, ranks: int, threads: int = 1) -> str:
-    """Return what a script of Python says, on so many ranks of mpiexec; 0: without it.
+    """Return the output of a Python script on a number of ranks of mpiexec; 0: without mpiexec.
 
-    Raises RuntimeError, with what it said, where it fails.
+    Raises RuntimeError, with the output, if it fails.
     """
     before = ["mpiexec", "-n", str(ranks)] if ranks else []
     ended = subprocess.run(  # noqa: S603 (this very interpreter)
@@ -185,7 +185,7 @@ def said(*command: str, ranks: int, threads: int = 1) -> str:
 
 
 def run(question: tuple[Any, ...], ranks: int, threads: int = 1) -> dict[str, Any]:
-    """Return what a process of its own measures; no ranks: the local method."""
+    """Return the measurements of a separate process; without ranks: the local method."""
     printed = said(
         __file__, "--measure", json.dumps([*question, ranks]), ranks=ranks, threads=threads
     )
@@ -194,7 +194,7 @@ def run(question: tuple[Any, ...], ranks: int, threads: int = 1) -> dict[str, An
 
 
 def in_turns(kinds: dict[str, Callable[[], dict[str, Any]]], turns: int) -> Results:
-    """Return what each kind of process measured, one after the other in each turn."""
+    """Return the measurements of each kind of process, which alternate in turns."""
     results: Results = {name: [] for name in kinds}
     for _ in range(turns):
         for name, measure in kinds.items():
@@ -203,13 +203,13 @@ def in_turns(kinds: dict[str, Callable[[], dict[str, Any]]], turns: int) -> Resu
 
 
 def ratio(results: Results, name: str, base: str, key: str) -> float:
-    """Return the median over the turns of what a kind takes, as a share of what another takes."""
+    """Return the median over the turns of the ratio of two kinds of process."""
     pairs = zip(results[name], results[base], strict=True)
     return median(one[key] / other[key] for one, other in pairs)
 
 
 def lines(results: Results) -> Iterator[str]:
-    """Yield the table of some kinds of processes, with shares of what one rank takes, if it can."""
+    """Yield the table of kinds of processes, with shares of one rank's figures if it has run."""
     answered = {name: turns for name, turns in results.items() if "refused" not in turns[0]}
     base = next((name for name in answered if "rank" in name), next(iter(answered), ""))
     share = f"of {base.split(',')[0]}"
@@ -238,24 +238,24 @@ def lines(results: Results) -> Iterator[str]:
 
 
 def spread(results: Results, key: str) -> float:
-    """Return by what share of the greatest a figure differs between all processes."""
+    """Return the relative difference of a figure between all processes."""
     figures = [one[key] for turns in results.values() for one in turns]
     return float(np.ptp(figures) / max(np.abs(figures).max(), 1e-300))
 
 
 def table(title: str, results: Results) -> None:
-    """Print a table, and the load that other work puts on the machine beside it."""
+    """Print a table, and the machine's load by other work."""
     print(f"\n{title}; load now {os.getloadavg()[0]:.1f}")
     print("\n".join(lines(results)), flush=True)
 
 
 def named(ranks: int) -> str:
-    """Return the name of the kind of process that has so many ranks."""
+    """Return the name of the kind of process with a number of ranks."""
     return f"{ranks} rank{'s' * (ranks > 1)}"
 
 
 def strong(given: Namespace) -> None:
-    """Print a table for each question about each robot."""
+    """Print a table for each problem on each robot."""
     for asked in product(given.robots, given.discounts, [given.budget]):
         world, discount, _ = asked
         kinds = {
@@ -286,7 +286,7 @@ def discount_of(text: str) -> float | None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measure and print, or be one of the processes that are measured."""
+    """Measure and print, or run as one of the measured processes."""
     cores = len(os.sched_getaffinity(0))
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     add = parser.add_argument

@@ -11,6 +11,7 @@
 | `river` | the current carries the swimmer over the waterfall | no detour over the bridge |
 | `navigation` | the robot disappears | fewer columns to cross |
 
-These modules have one function of its own name, which returns a `Domain`: the model and its start.
-`inventory` is another kind: a season's stock, a continuous world that is made finite and played.
+Each of these modules has one function of the module's name, which returns a `Domain`: the model and
+its start. `inventory` differs: a season's stock, a continuous world that is discretised and
+simulated.
 """

@@ -1,4 +1,4 @@
-"""What every generator returns: a model together with the state in which it starts."""
+"""The result of every generator: a model with its start state."""
 
 from collections.abc import Hashable
 from typing import NamedTuple

@@ -1,7 +1,7 @@
-"""A season's stock: order every week, and do not run out. A continuous world, made finite.
+"""A season's stock: order every week, and do not run out. A continuous world, discretised.
 
-Stock is a real number, a week's demand a gamma variable. A week that asks for more than there is
-loses the customer: that is failing. What the grid model's policies do in the world is played.
+Stock is a real number, a week's demand a gamma variable. A week with more demand than stock loses
+the customer: that is failing. The grid model's policies are simulated in the continuous world.
 """
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
@@ -27,7 +27,7 @@ DELIVERY, PIECE, STORAGE = 20.0, 1.0, 0.5  # costs
 
 
 def week(point, order, noise):
-    """Order, then serve the demand: new stock, next week, cost, and how the episode ends."""
+    """Order, then serve the demand; return new stock and week, the cost, and the end if any."""
     (stock, now), (demand,) = point, noise
     filled = np.minimum(stock + order, ROOM)
     left = filled - demand
@@ -37,14 +37,14 @@ def week(point, order, noise):
 
 
 def season(cells: int = 120) -> ContinuousModel:
-    """Return the season with the stock cut into so many cells."""
+    """Return the season with the stock divided into a number of cells."""
     demand = Distribution(gamma(4.0, scale=2.5).ppf)  # mean 10, standard deviation 5
     grid = Grid([Axis(0.0, ROOM, cells), Axis(0.0, WEEKS, WEEKS)])
     return ContinuousModel(grid, ORDERS, week, noise=[demand], dead_ends={"sold out": 0.0})
 
 
 def table(budgets=(0.01, 0.05, 0.1), episodes: int = 20_000) -> list[tuple[float, ...]]:
-    """Return for each budget the model's cost and failure, the world's interval and its cost."""
+    """Return for each budget cost and failure in the model, and the simulated failure and cost."""
     world, rows = season(), []
     model, real = discretise(world, Quadrature((4, 1, 200))), WorldSimulator(world, START)
     for budget in budgets:

@@ -1,4 +1,4 @@
-"""Navigation: cross a field in which the robot may disappear, and the near way is the riskiest.
+"""Navigation: cross a field in which the robot may disappear, most likely on the nearest way.
 
 The domain of the probabilistic track of the planning competition of 2011 (Sanner and Yoon, IPPC
 2011), there in RDDL; also in the later work on dead-ends and risk. PDDLGym's "navigation10" is
@@ -82,13 +82,13 @@ def navigation(
 
 
 def _even_danger(width: int) -> list[Number]:
-    """Probabilities at equal distances; a single column has the greatest."""
+    """Return probabilities at equal distances; a single column has the greatest."""
     step = (GREATEST_DANGER - LEAST_DANGER) / max(width - 1, 1)
     return [GREATEST_DANGER - step * (width - 1 - column) for column in range(width)]
 
 
 def _checked(disappearance: Sequence[Number], width: int) -> list[Number]:
-    """One probability for each column."""
+    """Check the probabilities, one for each column."""
     danger = list(disappearance)
     if len(danger) != width:
         raise ModelError(f"disappearance has {len(danger)} probabilities for width {width}")

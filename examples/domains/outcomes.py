@@ -13,6 +13,6 @@ Actions = dict[Hashable, Outcomes]
 
 
 def attempt(chance: Number, success: Hashable, failure: Hashable, cost: Number) -> Outcomes:
-    """Reach `success` with probability `chance`, else `failure`; what cannot happen is left out."""
+    """Return the outcomes `success` with probability `chance`, else `failure`, without zeros."""
     both = [(chance, success, cost), (1 - chance, failure, cost)]
     return [outcome for outcome in both if outcome[0] > 0]

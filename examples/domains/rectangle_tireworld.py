@@ -1,4 +1,4 @@
-"""The rectangle tireworld: slow straight moves that cannot hurt, quick diagonal ones that can.
+"""The rectangle tireworld: slow and safe straight moves, quick and risky diagonal ones.
 
 Olivier Buffet's relative of the triangle tireworld for the planning competition of 2008, without
 spare tyres. The car crosses a rectangle from the lower left to the upper right corner.
@@ -9,8 +9,8 @@ spare tyres. The car crosses a rectangle from the lower left to the upper right 
 - A deadly place is never left alive; here the run ends on arrival.
 
 The model "rectangle-tireworld.5" of the Quantitative Verification Benchmark Set, a square of 5 with
-the safe columns 1 and 3 and the safe rows 0 and 2, departs from this in two moves, by what looks
-like slips of the pen, and `as_published=True` repeats them: a sure move down is offered where the
+the safe columns 1 and 3 and the safe rows 0 and 2, differs in two moves, apparently by mistake, and
+`as_published=True` repeats these mistakes: a sure move down is offered where the
 *row's* number is that of a safe column, a sure move left where the *column's* number is that of a
 safe row; uncertain moves are offered beside them outside safe columns and rows, as for up and
 right. Its wrecked cars wander as ghosts, at a cost; here they stay, which matters only where the
@@ -90,7 +90,7 @@ def rectangle_tireworld(
 def _numbers(
     name: str, given: Collection[int] | None, default: range, length: int
 ) -> frozenset[int]:
-    """The given columns or rows, all of them inside."""
+    """Return the given columns or rows, checked to be inside."""
     chosen = frozenset(default if given is None else given)
     for number in chosen:
         check_count(name, number, 0)
@@ -100,7 +100,7 @@ def _numbers(
 
 
 def _places(deadly: Collection[Cell], width: int, height: int) -> frozenset[Cell]:
-    """The deadly places, all of them inside and none of them start or goal."""
+    """Return the deadly places, checked to be inside, and not the start or the goal."""
     inner = {(column, row) for column in range(width) for row in range(height)}
     wrong = frozenset(deadly) - (inner - {(0, 0), (width - 1, height - 1)})
     if wrong:
@@ -110,7 +110,7 @@ def _places(deadly: Collection[Cell], width: int, height: int) -> frozenset[Cell
 
 @dataclass(frozen=True)
 class _Rules:
-    """What a car can do in one rectangle."""
+    """The actions of a car in a rectangle."""
 
     width: int
     height: int
@@ -122,7 +122,7 @@ class _Rules:
     as_published: bool
 
     def actions(self, cell: Cell | str) -> Actions:
-        """Straight moves, sure and uncertain ones, then diagonal moves."""
+        """Return straight moves, sure and uncertain ones, then diagonal moves."""
         if isinstance(cell, str) or cell in self.deadly:  # a wreck, or about to be one
             return {}
         found: Actions = {}
@@ -138,20 +138,20 @@ class _Rules:
     def _targets(
         self, cell: Cell, directions: dict[str, tuple[int, int]]
     ) -> Iterator[tuple[str, Cell]]:
-        """The directions that stay inside, with the cells to which they lead."""
+        """Yield the directions that stay inside, with the cells to which they lead."""
         for name, (right, up) in directions.items():
             column, row = cell[0] + right, cell[1] + up
             if 0 <= column < self.width and 0 <= row < self.height:
                 yield name, (column, row)
 
     def _along_safe(self, name: str, cell: Cell) -> bool:
-        """Whether a straight move runs along a safe column or row."""
+        """Return whether a straight move runs along a safe column or row."""
         if name in ("up", "down"):
             return cell[0] in self.safe_columns
         return cell[1] in self.safe_rows
 
     def _sure(self, name: str, cell: Cell) -> bool:
-        """Whether a sure move of that name is offered."""
+        """Return whether a sure move of a name is offered."""
         column, row = cell
         if self.as_published and name == "down":
             return row in self.safe_columns

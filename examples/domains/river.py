@@ -11,8 +11,8 @@ after. The problems 0 to 4 of PDDLGym's "river-alt" are `river(5, 5)`, `(5, 8)`,
     row 1            S ~ ~ ~ .    S start, at the foot of the left bank
     row 0            # # # # G    # waterfall, G goal, at the foot of the right bank
 
-A step in the water to the left, to the right or up succeeds with probability 1 - current; else the
-swimmer drifts one row down. Down is a sure step everywhere. The bottom row, except for the goal,
+A step in the water to the left, to the right or up succeeds with probability 1 - current; otherwise
+the swimmer drifts one row down. A step down always succeeds. The bottom row, except for the goal,
 belongs to the waterfall and is a dead-end. Walking needs
 (height - 2) + (width - 1) + (height - 1) sure steps; swimming along row 1 takes width moves and
 survives with probability (1 - current)^(width - 2).

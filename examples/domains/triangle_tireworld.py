@@ -1,8 +1,8 @@
 """The triangle tireworld: the short road has no spare tyres, the long one has them everywhere.
 
 The domain with which Little and Thiebaux ("Probabilistic planning vs replanning", ICAPS workshop
-on the planning competition, 2007) showed what replanning for the likeliest course overlooks;
-later in the planning competitions. With `remember_spares=True` the sizes 1 to 3 are problems 1 to 3
+on the planning competition, 2007) showed a weakness of replanning for the likeliest course; later
+in the planning competitions. With `remember_spares=True` the sizes 1 to 3 are problems 1 to 3
 of PDDLGym's "tireworld", and size 1 with `spares="carried"` is "triangle-tireworld.9" of the
 Quantitative Verification Benchmark Set, where a stranded car idles; here it has no action.
 
@@ -34,7 +34,7 @@ Place = tuple[int, int]
 
 
 class Car(NamedTuple):
-    """A state: where the car is, how it is, and which spares are gone."""
+    """A state: the car's place and condition, and the spares that are used."""
 
     place: Place
     flat: bool = False
@@ -59,8 +59,8 @@ def triangle_tireworld(
         size: small triangles along an edge, at least 1; there are (size + 1)(2 size + 1) places.
         burst: the probability p that a move ends with a flat tyre.
         spares: "mounted": a spare is put on where it lies, in place of a flat tyre.
-            "carried": a spare is first loaded, at any time, one at once; the spare aboard is put
-            on anywhere.
+            "carried": a spare is first loaded, at any time, one at a time; the spare aboard is
+            put on anywhere.
         remember_spares: keep every used spare in the state, as the published models do. No road
             leads back, so this changes no policy and no value, but it makes the number of states
             grow exponentially with the size; without it there are about 5 size^2.
@@ -96,7 +96,7 @@ def triangle_tireworld(
 
 
 def roads_from(place: Place, side: int) -> Iterator[Place]:
-    """The places to which a road leads from `place` in a triangle of that side."""
+    """Yield the places to which a road leads from `place` in a triangle of a given side."""
     row, column = place
     inside = row + column <= side  # not on the right edge
     if row > 1 and (row % 2 == 0 or column % 2 == 1):
@@ -108,7 +108,7 @@ def roads_from(place: Place, side: int) -> Iterator[Place]:
 
 
 def has_spare(place: Place, side: int) -> bool:
-    """Whether a spare tyre lies there at first."""
+    """Return whether a spare tyre lies there at first."""
     row, column = place
     on_an_edge = column == 1 or row + column == side + 1
     return row % 2 == 0 or (row > 1 and on_an_edge)
@@ -116,7 +116,7 @@ def has_spare(place: Place, side: int) -> bool:
 
 @dataclass(frozen=True)
 class _Rules:
-    """What a car can do in one triangle."""
+    """The actions of a car in a triangle."""
 
     side: int
     burst: Number
@@ -127,11 +127,11 @@ class _Rules:
     load_cost: Number
 
     def arrived(self, car: Car) -> bool:
-        """Whether the car is at the goal, on whatever tyres."""
+        """Return whether the car is at the goal, with or without a flat tyre."""
         return car.place == (1, self.side)
 
     def actions(self, car: Car) -> Actions:
-        """The moves first, then what concerns the spares."""
+        """Return the moves first, then the actions on spares."""
         spare_here = has_spare(car.place, self.side) and car.place not in car.used
         found: Actions = {}
         if not car.flat:
@@ -149,7 +149,7 @@ class _Rules:
         return found
 
     def _load(self, car: Car, spare_here: bool) -> Actions:
-        """Take the spare of this place aboard, put on the one that is."""
+        """Return the actions of loading this place's spare and of putting on the loaded one."""
         found: Actions = {}
         if spare_here:
             loaded = car._replace(carrying=True, used=car.used | {car.place})

@@ -1,13 +1,13 @@
-"""A windy field with holes, crossed in eight directions: the costs of steps need share no unit.
+"""A windy field with holes, crossed in eight directions, with costs without a common unit.
 
     row size - 1   . . . . G
-                   . o . . .    o a hole, which nobody leaves
+                   . o . . .    o a hole, which is never left
                    . . . o .
     row 0          S . . . .
 
-Each step goes where it is aimed with probability 0.8 and is blown one cell further to the right or
-one down with 0.1 each; the edge of the field stops it. A step along an axis costs 1 and a diagonal
-one `diagonal`, or every pair of cell and direction costs what a list of prices says.
+Each step leads to its aim with probability 0.8 and is blown one cell further to the right or one
+down with 0.1 each; the edge of the field stops it. A step along an axis costs 1 and a diagonal one
+`diagonal`, or every pair of cell and direction has a cost drawn from a list of prices.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ DIRECTIONS: dict[str, Cell] = {
 }  # fmt: skip
 
 _WIND: tuple[tuple[float, Cell], ...] = ((0.8, (0, 0)), (0.1, (1, 0)), (0.1, (0, -1)))
-_HOLES = 0.1  # of the cells
+_HOLES = 0.1  # share of the cells
 
 
 def windy_field(
@@ -38,8 +38,8 @@ def windy_field(
     Args:
         size: columns and rows; at least 2.
         diagonal: cost of a diagonal step.
-        prices: what a step may cost, drawn for every cell and direction; empty: by its length.
-        seed: of the holes and the prices drawn.
+        prices: costs of steps, drawn for every cell and direction; empty: costs by length.
+        seed: seed of the holes and of the prices drawn.
 
     Raises:
         ModelError: naming the parameter at fault.
@@ -68,7 +68,7 @@ def windy_field(
 
 
 def _stopped(cell: Cell, move: Cell, size: int) -> Cell:
-    """The cell that a move leads to, no further than the edge."""
+    """Return the cell that a move leads to, stopped at the edge."""
     column, row = (
         min(max(here + step, 0), size - 1) for here, step in zip(cell, move, strict=True)
     )

@@ -1,7 +1,7 @@
 """The arena of the paper's robot: a unit square with two obstacles and a goal region.
 
-Source: section 4.1 and figure 1 of the paper. One function, `Arena.classify`, says what lies at a
-point; `Arena.first_contact` says what a straight motion meets first.
+Source: section 4.1 and figure 1 of the paper. `Arena.classify` returns the place at a point;
+`Arena.first_contact` returns the place that a straight motion meets first.
 """
 
 from dataclasses import dataclass, field
@@ -15,15 +15,15 @@ BoolArray = npt.NDArray[np.bool_]
 PlaceArray = npt.NDArray[np.uint8]
 
 TOLERANCE = 1e-9
-"""A point this close to an edge counts as on it. Rounding moves a point by about 1e-16, so a point
-that lies on an edge in exact arithmetic is treated alike on every machine."""
+"""Distance at which a point counts as on an edge. Rounding moves a point by about 1e-16, so that a
+point on an edge in exact arithmetic is treated equally on every machine."""
 
 _NO_MOTION = 1e-300
-"""Stands in for a displacement of exactly 0: a quotient by it is huge and of the right sign."""
+"""Replaces a displacement of exactly 0: a quotient by it is huge and has the right sign."""
 
 
 class Place(IntEnum):
-    """What lies at a point. Everything but FREE ends an episode."""
+    """The place at a point. Every place except FREE ends an episode."""
 
     FREE = 0
     GOAL = 1
@@ -32,7 +32,7 @@ class Place(IntEnum):
 
 
 _ORDER = np.array([Place.OBSTACLE, Place.WALL, Place.GOAL, Place.FREE], dtype=np.uint8)
-"""Which place wins when a point, or an instant, belongs to several."""
+"""Order of precedence if a point, or an instant, belongs to several places."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Arena:
-    """The square in which the robot moves, what stands in it, and where it is to go.
+    """The square in which the robot moves, with obstacles and the goal.
 
     Touching an obstacle or the wall is a collision, so the free space is open.
     """
@@ -91,13 +91,13 @@ class Arena:
         up: FloatArray,
         points: int | None = None,
     ) -> tuple[PlaceArray, FloatArray]:
-        """Return what the straight motion from (x, y) by (across, up) meets first, and when.
+        """Return the place that the motion from (x, y) by (across, up) meets first, and the time.
 
-        The time is the fraction of the motion in [0, 1]; it is 1 where nothing is met
-        (`Place.FREE`). At times equal to rounding an obstacle goes before the wall before the goal.
+        The time is the fraction of the motion in [0, 1]; it is 1 if nothing is met (`Place.FREE`).
+        At times equal to rounding an obstacle precedes the wall, and the wall the goal.
 
-        points: look at so many equally spaced points, of which the last is the end of the motion;
-            None: at the whole motion.
+        points: number of equally spaced points that are tested, the last of which is the end of the
+            motion; None: the whole motion.
         """
         if points is not None:
             place, time = self.classify(x + across, y + up), np.asarray(1.0)

@@ -25,14 +25,14 @@ ENDS = {
     Place.WALL: "hit the wall",
     Place.FREE: "failed otherwise",
 }
-"""How an episode ended, in words."""
+"""End of an episode -> words."""
 
 CRITERIA = {
     "S": "S: expected cost given success",
     "M": "M: expected cost until the goal or failure",
 }
 
-_NUDGE = 1e-6  # look this far (in steps) beyond a path's last point to see what it touches
+_NUDGE = 1e-6  # distance (in steps) beyond a path's last point at which the place is tested
 
 
 def save_arena(arena: Arena, path: Path) -> None:
@@ -45,7 +45,7 @@ def save_arena(arena: Arena, path: Path) -> None:
 
 
 def save_trajectories(arena: Arena, paths: list[FloatArray], title: str, path: Path) -> None:
-    """Draw episodes of the continuous world, told apart by how they end: paths [steps + 1, 3]."""
+    """Draw episodes of the continuous world, coloured by their ends: paths [steps + 1, 3]."""
     figure, axes = _arena_axes(arena)
     ends = [ENDS[_end_of(arena, trajectory)] for trajectory in paths]
     plot_paths(paths, ends, order=list(ENDS.values()), ax=axes)
@@ -100,7 +100,7 @@ def _write(axes: Axes, x: float, y: float, words: str) -> None:
 
 
 def _end_of(arena: Arena, trajectory: FloatArray) -> Place:
-    """Return what a path ran into: the place at, or a hair beyond, its last point."""
+    """Return the place that a path ran into, just beyond its last point."""
     if len(trajectory) < 2:
         return Place.FREE
     last = trajectory[-1, :2]

@@ -1,4 +1,4 @@
-"""How the paper's robot moves, and how its positions and headings are cut into cells.
+"""Motion of the paper's robot, and the cells of its positions and headings.
 
 Source: sections 4.1 and 4.2 of the paper.
 """
@@ -29,8 +29,8 @@ class RobotGrid:
     wall_cost: stage cost after a collision with the wall (after any other collision it is 1).
     points_on_the_way: equally spaced points of a step at which the robot may collide or arrive,
         the last of them its end point; None: anywhere on the way.
-    turning_cost: of a radian; with it, a step costs the length of its way and what its turn costs
-        (None: every step costs 1, as in the paper).
+    turning_cost: cost of a radian; with it, a step costs the length of its way plus the cost of its
+        turn (None: every step costs 1, as in the paper).
     """
 
     segments: int = 20

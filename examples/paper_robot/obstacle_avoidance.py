@@ -1,9 +1,9 @@
 """The paper's experiment: a robot that must reach a goal fast and may fail in 5 % of the runs.
 
-The paper leaves open how transition probabilities are computed and collisions looked for. For two
+The paper does not say how transition probabilities are computed and collisions detected. For two
 readings of it, and for both costs of a collision with the wall, the script designs the paper's four
-policies, and further ones that are not in it; runs each in the grid model and in the continuous
-world; prints the paper's Tables 1 and 2 with ours below them; and draws the first reading's runs.
+policies and further ones; runs each in the grid model and in the continuous world; prints the
+paper's Tables 1 and 2 with ours below them; and draws runs of the first reading.
 
     python examples/paper_robot/obstacle_avoidance.py --output figures
 
@@ -46,7 +46,7 @@ DRAWN = {
 
 
 class Clock:
-    """Prints progress lines with the seconds since the start."""
+    """Printer of progress lines with the seconds since the start."""
 
     def __init__(self) -> None:
         """Start the clock."""

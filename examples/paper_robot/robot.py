@@ -44,7 +44,7 @@ _IntArray = npt.NDArray[np.integer[Any]]
 
 @dataclass(frozen=True)
 class _Dynamics:
-    """What the robot does in one step, and what is known of it beforehand."""
+    """The robot's step, and the pairs with equal transitions."""
 
     grid: RobotGrid
 
@@ -65,12 +65,12 @@ class _Dynamics:
         return (x + time * across, y + time * up, heading), self._cost(turn, time), place
 
     def _cost(self, turn: float, share: FloatArray) -> float | FloatArray:
-        """Of a turn, in radians, and a share of a step: 1, or its length and the turning."""
+        """Return the cost of a turn, in radians, and a share of a step: 1, or length and turn."""
         turning = self.grid.turning_cost
         return 1.0 if turning is None else share * STEP_LENGTH + turning * abs(turn)
 
     def alike(self, cell: tuple[_IntArray, ...], action: _IntArray) -> _IntArray:
-        """Number the pairs so that those from one position with one total turn are the same."""
+        """Number the pairs, with one number for all pairs of equal position and total turn."""
         (column, row, heading), headings = cell, self.grid.headings
         unit = math.gcd(12, headings)  # an action turns by a twelfth of a circle
         turns = 12 * headings // unit
@@ -79,7 +79,7 @@ class _Dynamics:
 
 
 def continuous_robot(grid: RobotGrid) -> ContinuousModel:
-    """Return the robot in its continuous world, with the grid on which policies see it."""
+    """Return the robot in its continuous world, with the grid of the policies."""
     dynamics = _Dynamics(grid)
     return ContinuousModel(
         grid.cells,
@@ -98,7 +98,7 @@ def grid_model(grid: RobotGrid, progress: Progress | None = None) -> SSP:
     step costs 1, or its length and its turn (`turning_cost`); the dead-end "wall" costs
     `wall_cost` per stage.
 
-    progress: told how far the transitions are.
+    progress: called with the progress of the transitions.
     """
     return discretise(continuous_robot(grid), Quadrature(grid.quadrature), progress=progress)
 

@@ -1,4 +1,4 @@
-"""The policies of the paper's section 4: how each is designed, and how each is tried out."""
+"""The policies of the paper's section 4: their design and their simulation."""
 
 import time
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ RECORDED = 50  # episodes drawn in a trajectory figure
 
 @dataclass(frozen=True)
 class Design:
-    """One column of the tables: a criterion with its budget, and which policy of it is taken."""
+    """One column of the tables: a criterion with its budget, and the choice of its policy."""
 
     name: str
     group: str
@@ -36,7 +36,7 @@ PAPERS = (
     Design("S mod", "failure <= 5 %", S3P, BUDGET, DISCOUNT, published="S mod"),
     Design("M mod", "failure <= 5 %", MCMP, BUDGET, DISCOUNT, published="M mod"),
 )
-"""The paper's: "S max" is pi_max^(S), and so on."""
+"""The paper's policies: "S max" is pi_max^(S), and so on."""
 
 DESIGNS = (
     *PAPERS,
@@ -49,7 +49,7 @@ DESIGNS = (
 
 @dataclass(frozen=True)
 class Reading:
-    """How transition probabilities and collisions are computed, which the paper leaves open."""
+    """A method, not stated in the paper, of computing transition probabilities and collisions."""
 
     name: str
     says: str
@@ -78,12 +78,12 @@ IN_BETWEEN = Reading(
     RobotGrid(points_on_the_way=4),
     tuple(design for design in PAPERS if design.name == COMPARED),
 )
-"""The reading of the paper but for the heading: `COMPARED` shows what the heading alone does."""
+"""The reading "as in the paper" except for the heading: `COMPARED` shows the heading's effect."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A designed policy and how it fared."""
+    """A designed policy with its evaluation and simulations."""
 
     design: Design
     problem: MCMP | S3P
@@ -91,10 +91,10 @@ class Trial:
     gap: float  # relative, of the certified bound
     failure_price: float | None
     seconds: float  # to find the policy
-    members: int  # deterministic policies that are mixed
-    ready: MixedPolicy  # with an action also in cells that the grid model never reaches
+    members: int  # number of deterministic policies that are mixed
+    ready: MixedPolicy  # the policy with actions in all cells, also unreachable ones
     chain: SimulationReport  # episodes in the grid model
-    world: SimulationReport  # in the continuous world, collisions looked for as in the model
+    world: SimulationReport  # in the continuous world, with collisions detected as in the model
 
     @property
     def trajectories(self) -> list[FloatArray]:
@@ -140,7 +140,7 @@ def run_in_world(
     episodes: int,
     seed: np.random.Generator,
 ) -> SimulationReport:
-    """Run a policy in the continuous world, where collisions are looked for as the grid says."""
+    """Run a policy in the continuous world, with collisions detected as in the grid model."""
     return simulate(
         policy,
         problem,

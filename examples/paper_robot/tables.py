@@ -1,4 +1,4 @@
-"""The paper's Tables 1 and 2 beside what this library finds, as text."""
+"""The paper's Tables 1 and 2 beside this library's results, as text."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -44,7 +44,7 @@ _EXACT: dict[str, Callable[[Trial], str]] = {
     "collisions with A, B of 100,000": lambda t: _exact_count(t, "obstacle"),
     "collisions with the wall of 100,000": lambda t: _exact_count(t, "wall"),
 }
-"""Numbers of a design on the grid model."""
+"""Numbers of a design in the grid model."""
 
 _PLAYED: dict[str, Callable[[SimulationReport], str]] = {
     "cost given success": lambda r: _fixed(r.conditional_cost.value, 2),
@@ -86,7 +86,7 @@ def table_text(wall_cost: float, trials: Trials, episodes: int) -> str:
 
 
 def comparison_text(cheap: Trials, dear: Trials, touching: Mapping[str, SimulationReport]) -> str:
-    """Return what each reading's model says of `COMPARED`, and what becomes of the robot.
+    """Return each reading's numbers of `COMPARED` in its model and in the continuous world.
 
     cheap, dear: trials at the wall costs 1 and 100.
     touching: reading -> episodes of the cheap trial's policy in a continuous world where touching
@@ -117,7 +117,7 @@ def comparison_text(cheap: Trials, dear: Trials, touching: Mapping[str, Simulati
 
 
 def remarks(cheap: Trials, dear: Trials, touching: Mapping[str, SimulationReport]) -> str:
-    """Return how our numbers relate to the paper's, with the numbers that show it.
+    """Return remarks on the relation of our numbers to the paper's.
 
     The arguments are those of `comparison_text`.
     """
@@ -186,5 +186,5 @@ def _count(value: float | None) -> str:
 
 
 def _exact_count(trial: Trial, end: str) -> str:
-    """A probability as the expected number of the paper's episodes."""
+    """Return a probability as an expected number of the paper's episodes."""
     return f"{trial.evaluation.ends.get(end, 0.0) * EPISODES:,.0f}"

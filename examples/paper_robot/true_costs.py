@@ -1,8 +1,8 @@
-"""The paper's robot with the costs of a real one: the length of its way, and its turns.
+"""The paper's robot with realistic costs: the length of its way, and its turns.
 
-A step stops where it meets something, so that its length is a real number, and a turn costs so
-much a radian: the totals have no common unit. Solves S3P with a failure budget of 5 % for several
-prices of turning, proves each answer from the model, plays the policies, and draws some episodes.
+A step stops at the first contact, so that its length is a real number, and a turn costs an amount
+per radian: the totals have no common unit. Solves S3P with a failure budget of 5 % for several
+prices of turning, certifies each solution, simulates the policies, and draws some episodes.
 
     python examples/paper_robot/true_costs.py --output figures
 
@@ -28,7 +28,7 @@ TOLERANCE = 1e-4
 
 @dataclass(frozen=True)
 class TrueCosts:
-    """An answer at one price of turning, its proof, and how its policy fared."""
+    """A solution at one price of turning, its certificate, and its policy's simulation."""
 
     solution: Solution
     certificate: Certificate
@@ -37,7 +37,7 @@ class TrueCosts:
 
 
 def designed(grid: RobotGrid, episodes: int, seed: int) -> TrueCosts:
-    """Solve S3P with a failure budget of 5 % on a grid, certify the answer and play its policy."""
+    """Solve S3P with a failure budget of 5 % on a grid, certify and simulate the solution."""
     problem = S3P(grid_model(grid), start=start_state(grid), failure_budget=BUDGET)
     solution = solve(problem, tolerance=TOLERANCE)
     chain, world = (np.random.default_rng([seed, stream]) for stream in (0, 1))
@@ -62,7 +62,7 @@ of a radian  c*      gap  seconds | cost given success       failure            
 
 
 def row(turning_cost: float, found: TrueCosts) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
     solution, chain, world = found.solution, found.chain, found.world
     cost, fails = chain.conditional_cost, chain.failure_probability
     return (

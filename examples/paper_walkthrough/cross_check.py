@@ -1,12 +1,12 @@
 """The paper's robot by three methods: the linear program, column generation, and the paper's game.
 
-For both cases prints what the methods say, how alpha* follows from c* and the price, and how the
-mixture of section 3.4 behaves as delta goes to 0.
+For both cases prints the results of the methods, alpha* as computed from c* and the price, and the
+mixture of section 3.4 as delta goes to 0.
 
     python examples/paper_walkthrough/cross_check.py
 
 Case S's linear program on the default grid has a million columns, too many to solve by default:
-there two methods speak. A coarse grid (``--segments 5 --headings 5 --budget 0.9``) has all three.
+there two methods run. A coarse grid (``--segments 5 --headings 5 --budget 0.9``) allows all three.
 """
 
 import argparse
@@ -38,14 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def identity(game: GameSolution) -> str:
-    """Compare alpha* with what c* and the price make of it (mathematics, section 6)."""
+    """Compare alpha* with its value computed from c* and the price (mathematics, section 6)."""
     share = 1.0 - game.spent if game.problem.ratio else 1.0
     mine, other = game.objective * share, game.price * game.spent
     return f"alpha* = {game.alpha:.12f}, from c* and the price {mine / (mine + other):.12f}"
 
 
 def delta_table(game: GameSolution) -> str:
-    """Cost and failure of z*_delta, relative to c* and to the budget."""
+    """Return cost and failure of z*_delta, relative to c* and to the budget."""
     inner, ratio = game.threshold.game.game, game.problem.ratio
     share = 1.0 - game.spent if ratio else 1.0
     rows = ["  delta     cost above c*   failure above the budget   weight of pi_+"]

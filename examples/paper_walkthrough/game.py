@@ -60,7 +60,7 @@ def solved_m() -> GameSolution:
 
 
 def section_3_1() -> list[Row]:
-    """The two MDPs have the same pairs; a plan (bridge, three tries) costs J_obj and J_cond.
+    """Compare the two MDPs' pairs, and J_obj and J_cond of a plan (bridge, three tries).
 
     J_obj is not discounted, J_cond is, in both cases. Value iteration in either MDP alone finds the
     plan that costs least, (ford, give up), and the one that fails least, (bridge, for ever).
@@ -97,7 +97,7 @@ def section_3_1() -> list[Row]:
 
 
 def section_3_2() -> list[Row]:
-    """The game at a given c: J*(alpha) is concave; c* is the least c whose value is at most c."""
+    """Check the game at a given c: J*(alpha) is concave, c* is the least c with value at most c."""
     found, best = solved_m(), optimum_m(ONE, GAMMA, BUDGET)
     c, player = best.objective, found.player
     game = Game(stake=float(c), budget=float(BUDGET))
@@ -124,10 +124,10 @@ def section_3_2() -> list[Row]:
 
 
 def section_3_3() -> list[Row]:
-    """Bayes-adaptive value iteration: the belief moves alike whatever happens, the policy with it.
+    """Check Bayes-adaptive value iteration, whose belief and policy depend on time alone.
 
-    T as printed weighs G-bar by probabilities twice; right is the sum of G-bar + q-bar J. And the
-    choices (u, f) in U(x') must be for u that stay in the attention set, else J_cond is not 1.
+    T as printed weights G-bar by probabilities twice; correct is the sum of G-bar + q-bar J. And
+    the choices (u, f) in U(x') must be for u that stay in the attention set, else J_cond is not 1.
     """
     found, best = solved_m(), optimum_m(ONE, GAMMA, BUDGET)
     price = best.price
@@ -158,7 +158,7 @@ def section_3_3() -> list[Row]:
 
 
 def _tries(policy: Policy) -> int:
-    """How often a timed policy goes at the crossing, first at time 1, before it gives up."""
+    """Count how often a timed policy goes at the crossing, from time 1 on, before it gives up."""
     if not isinstance(policy, TimedPolicy):
         raise TypeError("policies of section 3.4 depend on time")
     later = [p for p in policy.stages[1:] if isinstance(p, DeterministicPolicy)]
@@ -166,10 +166,11 @@ def _tries(policy: Policy) -> int:
 
 
 def section_3_4() -> list[Row]:
-    """The mixture of the best responses to alpha* - delta and alpha* + delta (t3-4).
+    """Check the mixture of the best responses to alpha* - delta and alpha* + delta (t3-4).
 
-    Minus is best at alpha* - delta, so at alpha* it pays at most delta times its slope more than
-    J*(alpha*), and plus likewise: so does the mixture, which pays what both pay where they cross.
+    Minus is best at alpha* - delta, so at alpha* its payoff exceeds J*(alpha*) by at most delta
+    times its slope; likewise plus. So does the mixture's, which is the payoff of both at their
+    crossing.
     """
     found, best = solved_m(), optimum_m(ONE, GAMMA, BUDGET)
     c = best.objective

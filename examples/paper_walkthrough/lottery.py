@@ -11,17 +11,17 @@ ONE = Fraction(1)
 
 
 class Lottery:
-    """Two plans that fail no more, and more, than the budget, mixed so as to spend it."""
+    """A mixture of a plan within the budget and a plan above it that uses the whole budget."""
 
     def __init__(self, safe: Point, risky: Point, budget: Fraction) -> None:
-        """Weigh the two."""
+        """Compute the weight of the riskier plan, and the objective."""
         self.safe, self.risky, self.budget = safe, risky, budget
         self.weight = (budget - safe.condition) / (risky.condition - safe.condition)
         self.objective = safe.objective + self.weight * (risky.objective - safe.objective)
 
     @property
     def price(self) -> Fraction:
-        """What a unit of failure is worth: minus the slope between the two plans."""
+        """Price of a unit of failure: minus the slope between the two plans."""
         spared = self.safe.objective - self.risky.objective
         return spared / (self.risky.condition - self.safe.condition)
 
@@ -52,15 +52,17 @@ def numerator_s(discount: Fraction, gamma: Fraction, budget: Fraction) -> Lotter
 
 
 def adversary(objective: Fraction, price: Fraction, budget: Fraction) -> Fraction:
-    """alpha* = J_obj / (J_obj + price * epsilon): there eta / epsilon (1 - alpha) / alpha = price.
+    """Return alpha* = J_obj / (J_obj + price * epsilon), at which the price is that of the game.
 
-    With J_obj = c* and price lambda in case M, with J_obj = c* (1 - epsilon) and price kappa in S.
+    There eta / epsilon (1 - alpha) / alpha = price.
+    In case M J_obj = c* and the price is lambda; in case S J_obj = c* (1 - epsilon), the price
+    kappa.
     """
     return objective / (objective + price * budget)
 
 
 def payoff(plan: Point, alpha: Fraction, scale: Fraction) -> Fraction:
-    """J_{c,gamma,epsilon}: a plan's line in alpha."""
+    """Return J_{c,gamma,epsilon}: a plan's line in alpha."""
     return alpha * plan.objective + (1 - alpha) * scale * plan.condition
 
 
@@ -70,12 +72,12 @@ def best_plan(plans: Sequence[Point], alpha: Fraction, scale: Fraction) -> Point
 
 
 def best_payoff(plans: Sequence[Point], alpha: Fraction, scale: Fraction) -> Fraction:
-    """J*(alpha): the least of the plans' lines, so it is concave."""
+    """Return J*(alpha): the least of the plans' lines, so it is concave."""
     return payoff(best_plan(plans, alpha, scale), alpha, scale)
 
 
 def game_value(plans: Sequence[Point], scale: Fraction) -> Fraction:
-    """Value of the game: where the lines of two plans cross, one rising and one falling."""
+    """Return the game's value, at the crossing of a rising and a falling line."""
     rising = [p for p in plans if p.objective >= scale * p.condition]
     falling = [p for p in plans if p.objective < scale * p.condition]
     return min(_crossing(up, down, scale) for up in rising for down in falling)

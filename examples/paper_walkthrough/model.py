@@ -5,10 +5,10 @@
     bridge --cross--> home (49/50) or wreck (1/50)                             cost 2
     crossing --go--> home (1/2) or crossing (1/2)   crossing --wait--> itself  cost 4, 1
 
-A deterministic policy that may be worth its while chooses the way over the river and the number of
-times that it tries to go before it gives up at the crossing: waiting first costs more and fails
-more. The library's lower bounds, which hold for all policies, say the same. So each optimum is a
-lottery over two of these policies, whose costs and failures are the few lines below.
+A deterministic policy that may be optimal chooses the way over the river and the number of times
+that it tries to go before it gives up at the crossing: waiting first costs more and fails more. The
+library's lower bounds, which hold for all policies, confirm it. So each optimum is a lottery over
+two of these policies, whose costs and failures are given by the formulas below.
 """
 
 from dataclasses import dataclass
@@ -22,15 +22,15 @@ START = "depot"
 BUDGET = Fraction(1, 10)
 GAMMA = Fraction(99, 100)
 FOR_EVER = 60
-"""Tries after which 1/2^tries is below the rounding of every cost here."""
+"""Number of tries at which 1/2^tries is below the rounding of every cost here."""
 
 MOST_TRIES = 30
-"""With this many tries and with more, failures differ by less than 1e-9."""
+"""Number of tries above which failures differ by less than 1e-9."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A number as the library computes it, and as it is by hand."""
+    """A number as computed by the library, and by hand."""
 
     what: str
     computed: float
@@ -39,7 +39,7 @@ class Row:
 
     @property
     def agrees(self) -> bool:
-        """Whether the two numbers are the same up to what is stated."""
+        """Whether the two numbers are equal within the bound."""
         bound = 1e-8 * max(abs(float(self.theory)), 1e-3) if self.bound is None else self.bound
         return abs(self.computed - float(self.theory)) <= bound
 
@@ -52,7 +52,7 @@ class Plan(NamedTuple):
 
 
 class Point(NamedTuple):
-    """What a plan costs and how much it fails."""
+    """Cost and failure of a plan."""
 
     objective: Fraction
     condition: Fraction
@@ -103,7 +103,7 @@ def timed_policy(model: SSP, plan: Plan) -> TimedPolicy:
 
 
 def failure(plan: Plan, gamma: Fraction = Fraction(1)) -> Fraction:
-    """J_cond = L_d^gamma = 1 - E[gamma^T; goal]; the failure probability at gamma = 1."""
+    """Return J_cond = L_d^gamma = 1 - E[gamma^T; goal]; at gamma = 1 the failure probability."""
     bank = Fraction(9, 10) * gamma if plan.ford else Fraction(49, 50) * gamma**2
     x = gamma / 2
     crossing = x * (1 - x**plan.tries) / (1 - x)
@@ -111,7 +111,7 @@ def failure(plan: Plan, gamma: Fraction = Fraction(1)) -> Fraction:
 
 
 def cost(plan: Plan, gamma: Fraction = Fraction(1)) -> Fraction:
-    """J_obj of case M: E[r_tau], with 1 charged at the wreck and 1 for giving up."""
+    """Return J_obj of case M: E[r_tau], with 1 charged at the wreck and 1 for giving up."""
     bank = 1 + gamma / 10 if plan.ford else 2 + gamma * (2 + gamma / 50)
     x = gamma / 2
     crossing = 4 * (1 - x**plan.tries) / (1 - x) + x**plan.tries
@@ -119,7 +119,7 @@ def cost(plan: Plan, gamma: Fraction = Fraction(1)) -> Fraction:
 
 
 def success_cost(plan: Plan, gamma: Fraction = Fraction(1)) -> Fraction:
-    """J_obj of case S: E[gamma^(T-1) r_T; goal]; k tries cost 1 + 4 k by the time T = 1 + k."""
+    """Return J_obj of case S: E[gamma^(T-1) r_T; goal]; k tries cost 1 + 4 k until T = 1 + k."""
     bank = Fraction(9, 10) * 2 if plan.ford else Fraction(49, 50) * gamma * 5
     x = gamma / 2
     crossing = sum((x ** (k - 1) * (1 + 4 * k) for k in range(1, plan.tries + 1)), Fraction(0)) / 2

@@ -24,7 +24,7 @@ GAMMAS = tuple(1 - Fraction(1, 10**k) for k in (1, 2, 4, 6))
 
 
 def section_2_1() -> list[Row]:
-    """Model: states, actions, outcomes; g may depend on the outcome."""
+    """Check the model: states, actions, outcomes; g may depend on the outcome."""
     model = journey()
     stage = {str(model.action_of(k)): g for k, g in enumerate(cost_means(model))}
     hits = successor_means(model, model.goal_mask)
@@ -39,7 +39,7 @@ def section_2_1() -> list[Row]:
 
 
 def section_2_2() -> list[Row]:
-    """Policies: a lottery drawn at the start, and a randomised policy that does the same."""
+    """Compare a lottery drawn at the start with an equivalent randomised policy."""
     model = journey()
     problem = MCMP(model, start=START, failure_budget=0.1)
     members = tuple(stationary_policy(model, p) for p in (GOING, STAYING))
@@ -65,7 +65,7 @@ def section_2_2() -> list[Row]:
 
 
 def section_2_3() -> list[Row]:
-    """MAXPROB and MINPROB, whose zeros are the dead-ends and the attention states."""
+    """Check MAXPROB and MINPROB, whose zeros are the dead-ends and the attention states."""
     model = journey()
     most, least = max_goal_probability(model), min_goal_probability(model)
     dead, attention = dead_ends(model), attention_states(model)
@@ -94,10 +94,10 @@ def section_2_3() -> list[Row]:
 
 
 def section_2_4() -> list[Row]:
-    """Objectives, here with least failure (MCMP and S3P themselves) and for one policy.
+    """Check objectives at least failure (MCMP and S3P themselves) and for one policy.
 
     The sum over t in the definition of J_MCMP is a slip: J_MCMP = E[r_tau]. By that definition the
-    step that fails is not paid; the construction of section 3.1.2 pays it, once.
+    step that fails is not paid; by the construction of section 3.1.2 it is paid once.
     """
     model = journey()
     unpaid = MCMP(model, start=START, failure_budget=1.0, charge_failing_step=False)
@@ -116,7 +116,7 @@ def section_2_4() -> list[Row]:
 
 
 def section_2_5() -> list[Row]:
-    """The constraint: an average cost (t2-0), its discounted form (t2-1), on the safe side (t2-2).
+    """Check the constraint: an average cost (t2-0), its discounted form (t2-1), a bound (t2-2).
 
     t2-0: a run that gets home by the time T adds T / horizon, others add 1; E[T; home] = 12/5.
     """
@@ -139,7 +139,7 @@ def section_2_5() -> list[Row]:
 
 
 def _mean_away(horizon: int) -> float:
-    """E[sum of h_d(x_t)] / horizon of fording and going, step by step."""
+    """Compute E[sum of h_d(x_t)] / horizon of fording and going, step by step."""
     # depot, bank, crossing, wreck; home is left out.
     step = np.array([[0, 0.5, 0.5, 0], [0, 0, 0, 0.1], [0, 0, 0.5, 0], [0, 0, 0, 1]])
     where, away = np.array([1.0, 0.0, 0.0, 0.0]), 0.0

@@ -1,4 +1,4 @@
-"""How the constructions of section 3 approach each other on the paper's robot as gamma -> 1."""
+"""Convergence of the constructions of section 3 on the paper's robot as gamma -> 1."""
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from ssp_lp import MCMP, InfeasibleError, evaluate, solve

@@ -31,7 +31,7 @@ ACCURATE = 1e-10
 
 
 def section_3_5_m() -> list[Row]:
-    """Case M: c-hat <= c* <= true cost of the stationary policy, and all meet as gamma -> 1.
+    """Check c-hat <= c* <= true cost of the stationary policy in case M, all equal as gamma -> 1.
 
     "P^(M) in P^(S)" in t3-11 means P^(M). The first and the last differ by E[sum (1 - gamma^t) g]
     <= (1 - gamma) E[sum t g], which is 43/5 (1 - gamma) for the plan (ford, for ever) and less with
@@ -55,7 +55,7 @@ def section_3_5_m() -> list[Row]:
 
 
 def section_3_5_s() -> list[Row]:
-    """Case S: the same with J^gamma_S3P; the plans are policies of state and accumulated cost.
+    """Check these inequalities in case S, with J^gamma_S3P; plans depend on accumulated cost.
 
     M_{o,gamma}^(S) as printed gives gamma^T, Phi a single gamma; T_alpha charges gamma^(T-1). So
     the first and the last differ by at most (1 - gamma) E[(T - 1) r_T; home] / (1 - epsilon), which
@@ -82,7 +82,7 @@ def section_3_5_s() -> list[Row]:
 def _sandwich(
     gamma: Fraction, computed: tuple[float, ...], theory: tuple[Fraction, ...], spread: Fraction
 ) -> list[Row]:
-    """Rows of one gamma: c-hat, c*, the stationary policy's true value, and their order."""
+    """Return rows of one gamma: c-hat, c*, the stationary policy's true value, and their order."""
     names = ("c-hat", "c*", "true value of the stationary policy")
     at = f"gamma = {float(gamma):g}: "
     rows = [Row(at + n, x, y) for n, x, y in zip(names, computed, theory, strict=True)]
@@ -95,10 +95,10 @@ def _sandwich(
 
 
 def _stationary(lottery: Lottery, gamma: Fraction) -> Lottery:
-    """Return the same optimum, attained without counting tries.
+    """Return the optimum as a lottery of plans without a counter of tries.
 
-    With both costs discounted alike, every number of tries lies on one line between none and for
-    ever: the plans that a policy of the state alone can carry out.
+    With both costs discounted equally, the points of all numbers of tries lie on the segment
+    between no try and tries for ever, which are plans of the state alone.
     """
     safe, risky = (
         Point(cost(plan, gamma), failure(plan, gamma), plan)
@@ -112,9 +112,10 @@ def _mean(lottery: Lottery, safe: Fraction, risky: Fraction) -> Fraction:
 
 
 def section_3_5_scan() -> list[Row]:
-    """Theorem 3-1: case S takes the least c* of all epsilon' up to the budget, here 3/5.
+    """Check Theorem 3-1: case S takes the least c* of all epsilon' up to the budget, here 3/5.
 
-    Past the plan that fails most, (ford, give up), more budget only shrinks 1 - epsilon'.
+    Above the failure of the plan that fails most, (ford, give up), more budget only lowers
+    1 - epsilon'.
     """
     riskiest = Plan(True, 0)
     most = failure(riskiest, GAMMA)
@@ -140,11 +141,12 @@ def section_3_5_scan() -> list[Row]:
 
 
 def section_duality() -> list[Row]:
-    """The same numbers as the optimum of a linear program and of its dual, with gamma = 1 too.
+    """Compare with the optimum of a linear program and of its dual, also at gamma = 1.
 
     In case M the dual value is v(depot) - price epsilon, v from Bellman's equation at that price.
 
-    alpha* = c* / (c* + price epsilon) in case M; in S c* (1 - epsilon) and c* + price stand there.
+    alpha* = c* / (c* + price epsilon) in case M; in case S with c* (1 - epsilon) in place of c*,
+    and c* + price in place of the price.
     """
     rows = []
     for discount, gamma in ((None, ONE), (float(GAMMA), GAMMA)):
@@ -169,7 +171,7 @@ def section_duality() -> list[Row]:
 
 
 def _written_out() -> list[Row]:
-    """Rows of the linear program of case M itself: 7 pairs, 4 flow rows, 1 failure row."""
+    """Solve the linear program of case M itself: 7 pairs, 4 flow rows, 1 failure row."""
     model = journey()
     problem = MCMP(model, start=START, failure_budget=float(BUDGET))
     # discount=1: no mass is lost, so J_cond is the failure probability.
@@ -186,7 +188,7 @@ def _written_out() -> list[Row]:
 
 
 def _dual_rows(name: str, solution: Solution, gamma: Fraction) -> list[Row]:
-    """Rows of primal value, dual value, price and alpha*."""
+    """Return rows of primal value, dual value, price and alpha*."""
     best = (numerator_s if solution.problem.ratio else optimum_m)(gamma, gamma, BUDGET)
     share = 1 - BUDGET if solution.problem.ratio else ONE
     c = best.objective / share

@@ -1,1 +1,1 @@
-"""Certified values of published models, for others to test against."""
+"""Certified values of published models, for tests of other tools."""

@@ -1,20 +1,21 @@
-r"""Certified reference values: an interval and a certificate file for each question asked.
+r"""Certified reference values: an interval and a certificate file for each problem.
 
-Asks the least cost (`MCMP`), the cost given success (`S3P`) and the tail mean (`CVaR`) of published
-models at several failure budgets, and writes `values.csv` with a certificate file beside each row:
+Solves the least cost (`MCMP`), the cost given success (`S3P`) and the tail mean (`CVaR`) of
+published models at several failure budgets, and writes `values.csv` with a certificate file for
+each row:
 
     python examples/reference_values/certified_values.py
     python examples/reference_values/certified_values.py --models qcomp_cdrive.2 --budgets 0.3 0.5
     python examples/reference_values/certified_values.py --file wlan.jani --goal done --cost time
 
-Without `--file` these are the models of `tests/data`. With it, any file that the library reads. A
-budget is a number, `least` for the least failure. Giving up is free and allowed everywhere, and
-what the failing step costs counts not at all, as model checkers have it (`give_up="anywhere"`,
+Without `--file` these are the models of `tests/data`; with it, any file that the library reads. A
+budget is a number, or `least` for the least failure. Giving up is free and allowed everywhere, and
+the failing step is not charged, as in model checkers (`give_up="anywhere"`,
 `charge_failing_step=False`).
 
 Each interval is read back from its certificate file, whose exact inequalities
-`certificate_lines.py` checks without this library; tail means have no file, their interval is what
-`certify` recomputes in floating point.
+`certificate_lines.py` checks without this library. Tail means have no file; `certify` recomputes
+their interval in floating point.
 """
 
 import csv
@@ -38,7 +39,7 @@ _LEVEL = 0.9  # of the tail mean: the mean of the worst tenth
 
 @dataclass(frozen=True)
 class Row:
-    """One question and its proved answer, in words and decimals."""
+    """One problem and its proved interval, in words and decimals."""
 
     model: str
     cost: str
@@ -53,7 +54,7 @@ class Row:
 
 
 def named_models(options: Namespace) -> Iterator[tuple[str, str, SSP, Start]]:
-    """Each model asked for: its name, its cost, itself and its start."""
+    """Yield each requested model: its name, the name of its cost, the model and its start."""
     if options.file is not None:
         model, start = read_any(options.file, options.goal or (), options.cost)
         yield options.file.stem, options.cost or "cost", model, start
@@ -71,7 +72,7 @@ def named_models(options: Namespace) -> Iterator[tuple[str, str, SSP, Start]]:
 def questions(
     model: SSP, start: Start, budgets: Sequence[str]
 ) -> Iterator[tuple[str, str, MCMP | S3P | CVaR]]:
-    """The problems posed of a model, each with its criterion and budget in words."""
+    """Yield the problems of a model, each with its criterion and budget in words."""
     for text in budgets:
         budget = None if text == LEAST else float(text)
         yield "MCMP", text, MCMP(model, start, budget, **PUBLISHED)
@@ -81,7 +82,7 @@ def questions(
 
 
 def answered(row: Row, problem: MCMP | S3P | CVaR, options: Namespace) -> Row:
-    """A row with the proved answer of its problem, whose certificate is written."""
+    """Solve a problem, write its certificate, and return the row with the proved interval."""
     try:
         solution = ssp_lp.solve(problem, time_limit=options.time_limit)
         return _proved(row, solution, options.output)
@@ -92,7 +93,7 @@ def answered(row: Row, problem: MCMP | S3P | CVaR, options: Namespace) -> Row:
 
 
 def _proved(row: Row, solution: Solution, folder: Path) -> Row:
-    """The row of a solution, by its certificate file, or by `certify` where there is none."""
+    """Return a solution's row, by its certificate file, or by `certify` if there is none."""
     failure = repr(solution.failure_probability)
     if row.criterion.startswith("CVaR"):
         found = ssp_lp.certify(solution)
@@ -109,7 +110,7 @@ def _proved(row: Row, solution: Solution, folder: Path) -> Row:
 
 
 def _rounded(bound: Fraction, outwards: float) -> str:
-    """The nearest decimal of a float that does not cut a proved interval short."""
+    """Return the nearest decimal of a float that does not shorten a proved interval."""
     near = float(bound)
     is_inside = near > bound if outwards < 0.0 else near < bound
     return repr(math.nextafter(near, outwards) if is_inside else near)
@@ -120,7 +121,7 @@ def _key(row: Row) -> tuple[str, str, str, str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> list[Row]:
-    """Answer all questions; print and save a line for each. The rows."""
+    """Solve all problems; print and save a line for each, and return the rows."""
     options = _parse(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
     rows = []

@@ -13,10 +13,10 @@ from ssp_lp import SSP
 FOLDER = Path(__file__).parents[2] / "tests" / "data"
 
 PUBLISHED = {"give_up": "anywhere", "charge_failing_step": False}
-"""What the published values count."""
+"""Cost that the published values count."""
 
 CLOSE = {"rel": 1e-6, "abs": 1e-9}
-"""How exactly they are published."""
+"""Precision of the published values."""
 
 NAMES = sorted(path.name.removesuffix(".json.gz") for path in (FOLDER / "models").iterdir())
 
@@ -33,7 +33,7 @@ class Case:
     start: int
 
     def floats(self) -> dict[int, dict[str, list[tuple[float, int, float]]]]:
-        """The same choices in floating point."""
+        """Return the choices in floating point."""
         return {
             state: {
                 action: [(float(p), successor, float(cost)) for p, successor, cost in outcomes]
@@ -44,7 +44,7 @@ class Case:
 
 
 def raw_case(name: str) -> dict[str, Any]:
-    """One model as it is stored."""
+    """Read one model in the stored form."""
     return json.loads(gzip.decompress((FOLDER / "models" / f"{name}.json.gz").read_bytes()))
 
 
@@ -65,14 +65,14 @@ def load_case(name: str, cost: str) -> Case:
 
 
 def _outcomes(choice: dict[str, Any], cost: str) -> list[tuple[Fraction, int, Fraction]]:
-    """The outcomes of one choice; its cost is the same for all of them."""
+    """Return the outcomes of one choice, all with its cost."""
     paid = Fraction(1) if cost == "unit" else Fraction(choice["rewards"].get(cost, 0))
     return [(Fraction(p), successor, paid) for successor, p in choice["to"]]
 
 
 @cache
 def published(name: str, cost: str = "unit") -> tuple[SSP, int]:
-    """One model of the library, exact in its costs, with its start state."""
+    """Return a model of the library with exact costs, and its start state."""
     case = load_case(name, cost)
     model = SSP.from_transitions(case.choices, goal=case.goal, treat_actionless_as_dead_ends=True)
     return model, case.start
@@ -80,5 +80,5 @@ def published(name: str, cost: str = "unit") -> tuple[SSP, int]:
 
 @cache
 def expected() -> dict[str, Any]:
-    """The table of expected values."""
+    """Read the table of expected values."""
     return json.loads((FOLDER / "expected.json").read_text())

@@ -19,8 +19,8 @@ transitions, several GB.
 
 `pip install '.[compare]'` brings the peers. What is not installed is a row that says so.
 `--quick`, the default, takes about a minute: the paper's robot and published domains, a solver of
-each kind. `--full` takes about an hour, most of it solvers that reach the time limit; a solver that
-does is not tried on larger instances of the same kind.
+each kind. `--full` takes about an hour, mostly for solvers that reach the time limit; such a solver
+is not tried on larger instances of the same kind.
 """
 
 import argparse
@@ -114,7 +114,7 @@ def compare(options: argparse.Namespace, limits: Limits) -> Iterator[SolverRun]:
 
 
 def _unfit(name: str, instance: Instance) -> str:
-    """Why a solver is not asked for an instance; empty: it is."""
+    """Return the reason for which a solver does not run on an instance; empty if it runs."""
     solver = solver_named(name)
     if solver.discounted and instance.discount is None:
         return "needs a discount"
@@ -218,7 +218,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _fill_in(options: argparse.Namespace, known: Sequence[str]) -> None:
-    """Fill in what was not asked: a comparison of a minute, unless more was."""
+    """Fill in missing options: a comparison of a minute, unless more was requested."""
     is_quick = not (options.full or options.instances or options.structures or options.frontier)
     if options.instances is None and options.structures:
         options.instances = list(STRUCTURES)

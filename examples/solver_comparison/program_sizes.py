@@ -1,9 +1,9 @@
-"""What occupation programs cost by size: made, compiled by cvxpy, written as MPS.
+"""Seconds of occupation programs by size: built, compiled by cvxpy, written as MPS.
 
     python examples/solver_comparison/program_sizes.py --pairs 10000 100000 1000000
 
-Seconds of one core: a windy grid with about so many pairs, `MCMP` within a failure budget; and
-`S3P` on a river with a hundred accumulated costs told apart, of as many columns.
+Seconds of one core: `MCMP` within a failure budget on a windy grid with about the given number of
+pairs, and `S3P` on a river with a hundred distinguished accumulated costs and as many columns.
 """
 
 import argparse
@@ -24,14 +24,14 @@ BUDGET = 0.9  # of failing; nothing has to be worked out for it
 
 
 def seconds_of(call: Callable[[], Any]) -> tuple[float, Any]:
-    """Seconds of the processor that a call takes, and what it returns."""
+    """Return the processor's seconds of a call, and its result."""
     began = time.process_time()
     result = call()
     return time.process_time() - began, result
 
 
 def problems(pairs: int) -> list[tuple[str, Problem]]:
-    """The problems of one size, by name."""
+    """Yield the problems of one size, by name."""
     grid = FAMILIES["grid"](round((pairs / 4) ** 0.5))
     river = FAMILIES["river"](*2 * (max(round((pairs / TOTALS / 4) ** 0.5), 3),))
     return [
@@ -41,7 +41,7 @@ def problems(pairs: int) -> list[tuple[str, Problem]]:
 
 
 def measured(problem: Problem, compiles: bool) -> tuple[int, list[float]]:
-    """Columns of a problem's program, and seconds: made, compiled (nan: not asked), written."""
+    """Return the columns of a program, and seconds: built, compiled (nan if not), written."""
     made, program = seconds_of(problem.program)
     compiled = float("nan")
     if compiles:

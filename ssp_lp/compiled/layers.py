@@ -23,7 +23,7 @@ ACCURATE = 1e-14
 """Relative change of values and measures at which sweeps over a layer end: near rounding."""
 
 _LOWERINGS = 16
-"""Sweeps over a layer in which bounds are lowered by their rounding; a few suffice."""
+"""Most sweeps in which bounds within a layer are lowered by each other's rounding."""
 
 
 class OneLayer(NamedTuple):

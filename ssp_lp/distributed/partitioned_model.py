@@ -395,7 +395,7 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
         ModelError: ranks do not support the problem; the message says what to do.
     """
     if not isinstance(criterion, type):
-        raise wrong_argument("criterion", "be a class such as MCMP, its arguments beside it",
+        raise wrong_argument("criterion", "be a class such as MCMP, with keyword arguments",
                              criterion)  # fmt: skip
     name = criterion.__name__
     if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:

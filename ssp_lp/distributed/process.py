@@ -221,7 +221,7 @@ class PartitionedProcess(PricingProblem):
     at_once: FloatArray  # [rewards] rewards of start mass on goals and dead-ends
     start: FloatArray  # [own nodes]
     asks_for_ends: bool  # whether ends other than the goal count, or giving up is not allowed
-    stays: IntArray  # [own nodes] a free pair that stays for ever; -1 if giving up is allowed
+    stays: IntArray  # [own nodes] a free pair that stays for ever, in place of giving up; -1: none
     kept: Callable[[IntArray, FloatArray], None] = _kept_nowhere  # called with each new column
     earlier: list[Column] = field(default_factory=list)  # columns of an earlier run
 
@@ -552,7 +552,7 @@ class CompiledPartitioned(CompiledExplicit):
 
     more: dict[str, Any] = field(kw_only=True, default_factory=dict)  # fields of the process
 
-    is_whole = False  # such a problem cannot be relabelled as another one
+    is_whole = False  # other problems on the model need another process
 
     def pricing(self) -> PartitionedProcess:  # type: ignore[override]
         """Return the pricing problem, with a price for each row."""

@@ -76,7 +76,7 @@ class Dynamics:
     pair_offsets: IntArray  # [states + 1]
     transitions: sp.csr_array  # [pairs, states]
     exits: FloatArray  # [pairs]
-    few: ClassVar[int] = DIRECT_STATES  # most states for which totals show held mass
+    few: ClassVar[int] = DIRECT_STATES  # chains of more states are checked to leave
     is_reused: bool = False  # whether it is solved many times, as a layer of accumulated cost
 
     @cached_property

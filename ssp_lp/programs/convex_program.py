@@ -31,7 +31,7 @@ _OBJECTIVE = "the objective's value"
 _EXCUSED = 1e-7  # violation of a row that a solver's tolerance allows
 _SOLVED = ("optimal", "optimal_inaccurate")
 _INFEASIBLE = ("infeasible", "infeasible_inaccurate")
-_PLAIN: Mapping[str, Mapping[str, Any]] = {  # HiGHS's presolve rejects feasible programs
+_PLAIN: Mapping[str, Mapping[str, Any]] = {  # HiGHS's presolve rejects some feasible programs
     "HIGHS": {"presolve": "off"},
     "SCIPY": {"scipy_options": {"presolve": False}},
 }

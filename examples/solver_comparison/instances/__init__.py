@@ -1,1 +1,1 @@
-"""What is solved: instances by name, and their models."""
+"""Instances of the comparison by name, and their models."""

@@ -1,7 +1,7 @@
-"""Families of models that differ in structure: acyclic, windy, narrow, hanging together, slow.
+"""Families of models that differ in structure: acyclic, windy, narrow, connected, slow.
 
-Games, queues and worlds of the planning literature stand beside them. Every model's start is state
-0; where nothing else is said its live states come first, then one goal and one trap.
+Games, queues and domains of the planning literature are included. Every model's start is state 0;
+unless stated otherwise its live states come first, then one goal and one trap.
 """
 
 from collections.abc import Callable, Hashable
@@ -119,7 +119,7 @@ def rooms(count: int, side: int, *, seed: int = _SEED) -> SSP:
 
 
 def ring(states: int, *, leak: float = _LEAK) -> SSP:
-    """Return a ring that is left seldom, by a dear and sure way or a cheap and risky one."""
+    """Return a ring that is rarely left, by an expensive and sure way or a cheap and risky one."""
     here = np.arange(states)
     on, back = (here + 1) % states, (here - 1) % states
     goal, trap = np.full(states, states), np.full(states, states + 1)
@@ -133,7 +133,7 @@ def ring(states: int, *, leak: float = _LEAK) -> SSP:
 def holes(side: int, *, slip: float = 0.2, share: float = 0.07, seed: int = _SEED) -> SSP:
     """Return a square with four moves that slip to either side, and holes; its corners are free.
 
-    Far from the start least failure is tiny: whoever keeps off the holes falls by slips alone.
+    Far from the start least failure is tiny: away from the holes only slips lead into them.
     """
     rng, n = np.random.default_rng(seed), side * side
     x, y = np.arange(n) % side, np.arange(n) // side
@@ -172,7 +172,7 @@ def headings(side: int, *, directions: int = 8, seed: int = _SEED) -> SSP:
 def racetrack(side: int, *, speed: int = 3, slip: float = 0.1, seed: int = _SEED) -> SSP:
     """Return a car on a square whose velocity changes by one at most, and may fail to, and walls.
 
-    Whoever leaves the square or ends a step in a wall is lost; the goal is the last corner.
+    A car that leaves the square or ends a step in a wall is lost; the goal is the last corner.
     """
     rng, cells, width = np.random.default_rng(seed), side * side, 2 * speed + 1
     is_wall = rng.random(cells) < 0.05
@@ -203,9 +203,9 @@ def racetrack(side: int, *, speed: int = 3, slip: float = 0.1, seed: int = _SEED
 
 
 def tandem(capacity: int, *, arriving: float = 0.22) -> SSP:
-    """Return two queues in a row, served fast (dear) or slowly, until both are empty at once.
+    """Return two queues in a row, served fast (expensive) or slowly, until both are empty at once.
 
-    Whoever finds a full queue is lost: the trap. Both are half full at the start.
+    A customer who finds a full queue is lost: the trap. Both are half full at the start.
     """
     width = capacity + 1
     first, second = np.divmod(_begun_at(np.arange(1, width**2), capacity // 2 * (width + 1)), width)

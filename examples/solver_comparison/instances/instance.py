@@ -88,7 +88,7 @@ class Instance:
 
     @property
     def group(self) -> str:
-        """What instances that differ in size only have in common."""
+        """The instance's name without its size."""
         cap = "" if self.cost_cap is None else f"{self.cost_cap:g}"
         discount = "" if self.discount is None else f"@{self.discount:g}"
         return f"{self.family} {self.case}{cap}{discount}"
@@ -101,7 +101,7 @@ class Instance:
 
     @property
     def warm_up(self) -> "Instance":
-        """A small instance of the same family, or the instance itself where it is small."""
+        """A small instance of the same family, or the instance itself if it is small."""
         return min(self, replace(self, size=_WARM_UP_SIZE[self.family]), key=lambda i: i.size)
 
 

@@ -61,8 +61,8 @@ def build(instance: Instance) -> ReadyInstance:
 def random_model(n_states: int) -> SSP:
     """Return a random sparse model: 5 actions of 8 successors each, drawn uniformly.
 
-    One state in 200 is a goal, one a trap without actions. The first action of each state is dear
-    and safe; the others are cheap and enter a trap with a small probability.
+    One state in 200 is a goal, one a trap without actions. The first action of each state is
+    expensive and safe; the others are cheap and enter a trap with a small probability.
     """
     rng = np.random.default_rng([_SEED, n_states])
     n_ends = max(n_states // _STATES_PER_END, 1)

@@ -1,1 +1,1 @@
-"""How it is measured: a process for each solver, its seconds and its memory."""
+"""Measurement of seconds and memory, in a separate process for each solver."""

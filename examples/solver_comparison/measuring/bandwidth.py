@@ -2,7 +2,7 @@
 
     python examples/solver_comparison/measuring/bandwidth.py INSTANCE REPORT
 
-measures both in a process of its own; see `process` for REPORT.
+measures both in a separate process; see `process` for REPORT.
 """
 
 import importlib.util
@@ -79,7 +79,7 @@ def _threaded_sum(numbers: np.ndarray) -> float:
 
 
 def _best_seconds(action: Callable[[], object]) -> float:
-    """The least seconds of several calls after a first one, which may compile."""
+    """Return the least seconds of several calls after a first one, which may compile."""
     action()
     times = []
     for _ in range(_TRIALS):

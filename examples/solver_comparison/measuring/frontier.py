@@ -1,4 +1,4 @@
-"""The whole frontier of an instance: what it costs, and what warm starts save."""
+"""The whole frontier of an instance: its time, and the time that warm starts save."""
 
 import time
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ _SAMPLE = 12  # prices at which a cold call is timed
 
 @dataclass(frozen=True)
 class FrontierCost:
-    """What tracing a frontier took."""
+    """Pricing calls and seconds of tracing a frontier."""
 
     instance: str
     turning_points: int
@@ -25,7 +25,7 @@ class FrontierCost:
 
     @property
     def text(self) -> str:
-        """The figures in a few lines."""
+        """Return the figures in a few lines."""
         calls = self.pricing_calls / self.turning_points
         share = self.warm_seconds / self.cold_seconds
         return "\n".join(
@@ -67,7 +67,7 @@ def measure_frontier(ready: ReadyInstance, gap: float) -> FrontierCost:
 
 
 def _cold_seconds(ready: ReadyInstance, price: float) -> float:
-    """Seconds of a first pricing call; building the problem is not counted."""
+    """Return the seconds of a first pricing call, without building the problem."""
     pricing = ready.problem().compile().pricing()
     began = time.perf_counter()
     pricing.minimise(price)

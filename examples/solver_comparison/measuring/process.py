@@ -1,8 +1,8 @@
-"""Run a command in a process of its own and end it when its time or memory is up.
+"""Run a command in a separate process and end it when its time or memory is used up.
 
 The process reports by appending JSON objects, one per line, to a file whose path is its last
-argument. Their entries are merged, so that what is known of a process that had to be ended is not
-lost. The entry "phase" says what it is at; each report starts the clock anew.
+argument. Their entries are merged, so that the reports of a process that had to be ended are not
+lost. The entry "phase" names the current phase; each report restarts the clock.
 """
 
 import json
@@ -25,12 +25,12 @@ from examples.solver_comparison.reporting.results import Outcome
 PREPARING, DONE = "preparing", "done"
 _POLL = 0.02  # seconds
 _NO_MEMORY = ("SIGKILL", "MemoryError", "bad_alloc", "memory allocation")
-"""What the end of a process says that was refused memory, or ended by the system for it."""
+"""Signs in a process's end that memory was refused, or that the system ended it for memory."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a process may use."""
+    """Limits of a process on time and memory."""
 
     prepare_seconds: float = 1800.0  # until its first call begins
     call_seconds: float = 60.0
@@ -39,14 +39,14 @@ class Limits:
     def seconds(self, phase: str) -> float:
         """Return the seconds until the next report is due.
 
-        A solver that keeps to a limit by itself gets a moment more, to say so.
+        A solver with a time limit of its own gets a moment more, to report it.
         """
         return self.prepare_seconds if phase == PREPARING else 1.02 * self.call_seconds + 1.0
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How a process ended, and the entries that it reported."""
+    """The end of a process, and the entries that it reported."""
 
     entries: Mapping[str, Any]
     outcome: Outcome | None  # why it was ended or failed; None: it ended by itself, in order
@@ -133,7 +133,7 @@ def _last_words(code: int, log: Path) -> str:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a process and all that it started."""
+    """Kill a process and all processes that it started."""
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()

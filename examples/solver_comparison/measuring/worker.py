@@ -28,7 +28,7 @@ _SHORT = 5.0  # seconds; longer calls are not repeated
 
 
 def main(arguments: list[str]) -> None:
-    """Do what an order asks for."""
+    """Carry out an order: prepare, call, time and report."""
     order, report = Order(**json.loads(arguments[0])), Report(Path(arguments[1]))
     solver = solver_named(order.solver)
     report.say(phase=PREPARING)

@@ -1,1 +1,1 @@
-"""What is shown: rows, a table, a plot."""
+"""Reports of the comparison: rows, a table, a plot."""

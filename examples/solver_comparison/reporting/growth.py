@@ -1,4 +1,4 @@
-"""How column generation's work grows from one refinement of a model to the next."""
+"""Growth of column generation's work from one refinement of a model to the next."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from examples.solver_comparison.reporting.results import Outcome, SolverRun
 
 @dataclass(frozen=True)
 class Work:
-    """What column generation did on one member of a family.
+    """Work of column generation on one member of a family.
 
     A sweep is one pass over all transitions. A product with the transitions of one policy reads
     the rows of one pair per state, and counts as that share of a sweep.
@@ -30,7 +30,7 @@ class Work:
 
 
 def work_of(run: SolverRun) -> Work | None:
-    """Return the work of a solved run; None where it does not say, or the graph said it all."""
+    """Return the work of a solved run; None if it is not reported, or the graph decided all."""
     if run.outcome is not Outcome.SOLVED or not (run.backups or run.products):
         return None
     if not (run.seconds and run.transitions and run.pairs and run.states):

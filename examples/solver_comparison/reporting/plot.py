@@ -1,6 +1,6 @@
 """Time against model size: a panel per group of instances, a line per solver.
 
-Colours are Okabe and Ito's, one per kind of solver; a marker says which solver of its kind.
+Colours are Okabe and Ito's, one per kind of solver; the marker distinguishes solvers of a kind.
 """
 
 import math
@@ -45,7 +45,7 @@ _ASIDE = 0.07  # decades between hollow markers
 
 
 def save_plot(runs: Sequence[SolverRun], path: Path) -> None:
-    """Draw the runs that have a time or ran out of it; nothing is saved without any."""
+    """Draw the runs with a time or a time-out; save nothing if there are none."""
     drawn = [run for run in runs if run.transitions and _height(run) is not None]
     groups = list(dict.fromkeys(parse_instance(run.instance).group for run in drawn))
     if not groups:
@@ -105,7 +105,7 @@ def _draw_solver(axes: Axes, own: Sequence[SolverRun], members: Sequence[SolverR
 
 
 def _place(run: SolverRun, members: Sequence[SolverRun]) -> float:
-    """The model's size; those that are late on one instance stand side by side."""
+    """Return the model's size, shifted so that several time-outs of an instance are visible."""
     size = float(run.transitions or 1)
     if run.outcome is not Outcome.TIME_OUT:
         return size

@@ -1,4 +1,4 @@
-"""What one run of one solver on one instance gave: a row of the comparison."""
+"""The result of one run of one solver on one instance: a row of the comparison."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -10,7 +10,7 @@ _AGREEMENT = 1e-4  # relative; every solver is asked for more
 
 
 class Outcome(StrEnum):
-    """How a run ended."""
+    """The end of a run."""
 
     SOLVED = "solved"
     TIME_OUT = "time-out"
@@ -23,7 +23,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class SolverRun:
-    """A row of the comparison; what a run did not come to is None."""
+    """A row of the comparison; figures that a run did not reach are None."""
 
     instance: str
     solver: str
@@ -50,7 +50,7 @@ class SolverRun:
 
     @property
     def build_seconds(self) -> float | None:
-        """Seconds of all that is made ready before the call: the model, in the solver's form."""
+        """Seconds of the preparation: building the model in the solver's form."""
         parts = [s for s in (self.model_seconds, self.convert_seconds) if s is not None]
         return sum(parts) if parts else None
 
@@ -66,7 +66,7 @@ def run_to_json(run: SolverRun) -> dict[str, Any]:
 
 
 def run_from_json(entry: dict[str, Any]) -> SolverRun:
-    """Return the run that a JSON object describes; entries that are no fields are left out."""
+    """Return the run that a JSON object describes; unknown entries are ignored."""
     known = {field.name for field in fields(SolverRun)}
     kept = {name: value for name, value in entry.items() if name in known}
     return SolverRun(**{**kept, "outcome": Outcome(entry["outcome"])})
@@ -82,7 +82,7 @@ def reference_runs(runs: Iterable[SolverRun]) -> dict[str, SolverRun]:
 
 
 def completed(runs: Sequence[SolverRun]) -> list[SolverRun]:
-    """Return the runs, those without the model's sizes given them from others on the instance."""
+    """Return the runs, with missing sizes of the model taken from other runs on the instance."""
     known = {run.instance: run for run in runs if run.transitions is not None}
     return [_sized(run, known.get(run.instance, run)) for run in runs]
 
@@ -92,7 +92,7 @@ def _sized(run: SolverRun, other: SolverRun) -> SolverRun:
 
 
 def judged(runs: Sequence[SolverRun]) -> list[SolverRun]:
-    """Return the runs, those marked wrong whose objective is far from the certified one."""
+    """Return the runs, marked as wrong if the objective is far from the certified one."""
     certified = {name: run.objective for name, run in reference_runs(runs).items()}
     return [_judge(run, certified.get(run.instance)) for run in runs]
 

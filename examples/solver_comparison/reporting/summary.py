@@ -39,7 +39,7 @@ def summary_text(runs: Sequence[SolverRun]) -> str:
 
 
 def _ratios(runs: Sequence[SolverRun]) -> Iterator[tuple[float, SolverRun]]:
-    """Our seconds over a peer's, for each run that has an answer or ran out of time."""
+    """Return our seconds over a peer's, for each run that has an answer or ran out of time."""
     reference = reference_runs(runs)
     for run in runs:
         ours = reference.get(run.instance)
@@ -52,14 +52,14 @@ def _ratios(runs: Sequence[SolverRun]) -> Iterator[tuple[float, SolverRun]]:
 
 
 def _told(run: SolverRun) -> str:
-    """The seconds of a run in words; its limit where it ran out of time."""
+    """Return the seconds of a run in words; its limit if it ran out of time."""
     if run.outcome is Outcome.TIME_OUT:
         return f"limit of {run.time_limit:.3g}"
     return f"{run.seconds or math.nan:.3g}"
 
 
 def _unanswered(runs: Sequence[SolverRun], solver: str, case: str) -> str:
-    """How many instances a peer did not answer, or answered wrongly, in words; or nothing."""
+    """Return the numbers of a peer's missing and wrong answers in words; empty if none."""
     own = [r for r in runs if r.solver == solver and parse_instance(r.instance).case == case]
     counts = {
         "out of time": Outcome.TIME_OUT,

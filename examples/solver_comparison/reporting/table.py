@@ -23,7 +23,7 @@ peak       memory of the solver's own process, in GB\
 
 
 def table_text(runs: Sequence[SolverRun]) -> str:
-    """Return the table of some runs."""
+    """Return the table of given runs."""
     reference = {name: run.seconds for name, run in reference_runs(runs).items()}
     rows = [_HEAD, *(_cells(run, reference.get(run.instance)) for run in runs)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(_HEAD))]
@@ -32,7 +32,7 @@ def table_text(runs: Sequence[SolverRun]) -> str:
 
 
 def run_line(run: SolverRun) -> str:
-    """Return a run in one line, as it comes in."""
+    """Return a run in one line, to be printed when it ends."""
     figures = f"{_seconds(run)} s" if run.outcome is Outcome.SOLVED else run.outcome.value
     return f"{run.instance:<22} {run.solver:<14} {figures:>12}  {_number(run.objective, '.9g')}"
 

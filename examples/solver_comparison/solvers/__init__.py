@@ -1,1 +1,1 @@
-"""Who solves it: the library, HiGHS and Storm behind one function, `prepare`."""
+"""The solvers of the comparison: the library, HiGHS and Storm behind one function, `prepare`."""

@@ -1,4 +1,4 @@
-"""What a solver's module hands to the process that times it."""
+"""Results of a solver's module for the process that times it."""
 
 import math
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Answer:
-    """What one call of a solver gave."""
+    """The result of one call of a solver."""
 
     objective: float
     gap: float | None = None  # relative
@@ -31,8 +31,8 @@ class Prepared:
 
 
 def infeasible(case: str) -> Answer:
-    """Return the answer where no policy does what the case of an instance asks."""
-    what = "reaches the goal surely" if case == "C" else "keeps to the failure budget"
+    """Return the answer that no policy satisfies an instance's case."""
+    what = "reaches the goal surely" if case == "C" else "satisfies the failure budget"
     return Answer(math.inf, note=f"no policy {what}")
 
 

@@ -11,7 +11,7 @@ LIBRARY, HIGHS, STORM = (f"{__package__}.{name}" for name in ("library", "highs"
 PLAIN = {"SSP_LP_ACCELERATOR": "none"}
 """Without numba: a peer's memory is then its own, not that of compiling our model building."""
 COMPILED = {"SSP_LP_ACCELERATOR": "numba"}
-"""Compiled by the warm-up, whatever numba's cache holds: a run does not depend on earlier ones."""
+"""Compiled by the warm-up, whatever numba's cache holds, so that runs are independent."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Solver:
 
 @dataclass(frozen=True)
 class Order:
-    """What a process of the comparison is asked to do."""
+    """The task of a process of the comparison."""
 
     instance: str
     solver: str
@@ -82,7 +82,7 @@ GAME = "value iteration (game)"
 """The paper's own method, which needs a discount."""
 
 QUICK_SOLVERS = ("columns", GAME, "lp-cvxpy", "highs-ipx", "storm", "storm-sound")
-"""Of the comparison that takes a minute: of each kind one, and Storm as it proves its bounds."""
+"""Solvers of the comparison of a minute: one of each kind, and Storm with proved bounds."""
 
 SOLVERS = (
     _method("columns", "columns", environment=COMPILED),
@@ -103,10 +103,10 @@ SOLVERS = (
 
 
 def solver_named(name: str) -> Solver:
-    """Return the solver of a name; a name that is none of SOLVERS is taken for a method."""
+    """Return the solver of a name; a name that is not in SOLVERS is taken as a method."""
     return next((s for s in SOLVERS if s.name == name), _method(name, name))
 
 
 def solver_names() -> tuple[str, ...]:
-    """Return the names of all solvers, with those of methods that `solve` knows besides."""
+    """Return the names of all solvers, including further methods of `solve`."""
     return (*(s.name for s in SOLVERS), "deterministic")

@@ -1,4 +1,4 @@
-"""The augmented process written out state by state, as the peers of the comparison take it."""
+"""The augmented process written out state by state, the input of the comparison's peers."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from ssp_lp.processes.explicit_process import ExplicitProcess
 def written_out(ready: ReadyInstance) -> ExplicitProcess:
     """Return the part of an instance's augmented process that its start can reach.
 
-    What has no budget is asked of the process of case M.
+    Instances without a budget use the process of case M.
 
     Raises:
         ValueError: case S without a cap on accumulated cost has no finite process.
@@ -54,7 +54,7 @@ def size_of(process: ExplicitProcess) -> str:
 
 
 def _reachable(process: ExplicitProcess) -> np.ndarray:
-    """Which states can be reached, [states]: breadth-first from a source before the start."""
+    """Return whether a state can be reached from the start, breadth-first, [states]."""
     n = process.n_states
     entries, steps = np.flatnonzero(process.start), process.transitions
     ends = np.append(steps.indptr[process.pair_offsets], steps.nnz + len(entries))

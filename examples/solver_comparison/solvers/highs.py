@@ -1,7 +1,7 @@
 """HiGHS called directly on the occupation program: its interior points and first-order methods.
 
 The program is the one of `ssp_lp.programs.occupation_program`. Interior points run without
-crossover, since only the value is asked for; threads and tolerances are left as they are.
+crossover, since only the value is needed; threads and tolerances have their defaults.
 """
 
 import math
@@ -65,7 +65,7 @@ def _answer(solver: highspy.Highs, program: LinearProgram) -> Answer:
 
 
 def excess_failure(program: LinearProgram, x: np.ndarray) -> float:
-    """Return by how much the failure of a point exceeds the budget; case S is scaled by t."""
+    """Return the excess of a point's failure over the budget; case S is scaled by t."""
     row = program.rows["failure"]
     over = float((program.matrix[row] @ x - program.upper[row])[0])
     scale = float(x[-1]) if "normaliser" in program.rows else 1.0

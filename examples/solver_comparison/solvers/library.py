@@ -13,10 +13,10 @@ from ssp_lp.compiled.accelerator import has_accelerator
 
 
 def prepare(ready: ReadyInstance, order: Order, *, method: str, backend: str | None) -> Prepared:
-    """Make ready to solve an instance with a method.
+    """Prepare to solve an instance with a method.
 
-    The first call compiles inner loops where numba is installed, so that column generation solves
-    a small instance first; it is what the other methods end with.
+    The first call compiles inner loops if numba is installed, so that column generation solves a
+    small instance first; the other methods use it at their end.
     """
     failure_budget = ready.instance.failure_budget
 

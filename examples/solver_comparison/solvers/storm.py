@@ -2,15 +2,15 @@
 
     multi(R{"cost"}min=? [C], P<=budget [F "fail"])
 
-The process gets two absorbing states, the goal and failure, so that every number means what it
-means here. (Asked for `P>=1-budget [F "goal"]` instead, Storm is as fast, but at its default
+The process gets two absorbing states, the goal and failure, so that every number has the meaning of
+this library. (Asked for `P>=1-budget [F "goal"]` instead, Storm is as fast, but at its default
 precision it answered 1.00005 to robot-80x36-M, where 13.5637 is right.)
 
 Case S, a ratio, is beyond Storm: it minimises E[cost; goal] within the budget on the states x
 accumulated cost. That is the ratio's numerator, and where the budget is tight, as on these
-instances, its value over 1 - budget is the ratio. Our solvers find the ratio itself.
+instances, its value over 1 - budget is the ratio. Our solvers compute the ratio itself.
 
-Case P is `Pmax=? [F "goal"]`, case C `R{"cost"}min=? [F "goal"]`, by what Storm chooses itself.
+Case P is `Pmax=? [F "goal"]`, case C `R{"cost"}min=? [F "goal"]`, by Storm's default method.
 """
 
 from typing import Any
@@ -30,12 +30,12 @@ _CHUNK = 20_000  # states handed over at a time: lists of Python numbers are lar
 
 
 def prepare(ready: ReadyInstance, order: Order, *, sound: bool, precision: str | None) -> Prepared:
-    """Hand an instance's process over to Storm.
+    """Prepare to solve an instance with Storm.
 
     Args:
         ready: the instance.
-        order: not used: Storm keeps to no time limit.
-        sound: methods that bound their error, which stormpy takes unless told otherwise; False:
+        order: not used, as Storm has no time limit.
+        sound: whether to use methods that bound their error, the default of stormpy; False:
             Storm's own defaults, which are faster.
         precision: absolute, as a fraction; None: Storm's default, 1e-4.
     """
@@ -68,7 +68,7 @@ def prepare(ready: ReadyInstance, order: Order, *, sound: bool, precision: str |
 
 
 def least_cost_within(failure_budget: float) -> Any:
-    """The least expected cost of a process whose failure is limited, as Storm's formula."""
+    """Return Storm's formula for the least expected cost within a failure budget."""
     query = f'multi(R{{"cost"}}min=? [C], P<={failure_budget!r} [F "fail"])'
     return stormpy.parse_properties(query)[0]
 
@@ -94,7 +94,7 @@ def storm_model(process: ExplicitProcess) -> models.SparseMdp:
 
 
 def _with_ends(process: ExplicitProcess) -> sp.csr_array:
-    """The transitions with the ends and a source, whose one step leads to the start."""
+    """Return the transitions with the ends, and a source whose one step leads to the start."""
     n = process.n_states
     body = sp.hstack([process.transitions, process.goal[:, None], process.failure[:, None]])
     source = np.concatenate([process.start, [0.0, 0.0]])[None, :]
