@@ -188,7 +188,7 @@ _Thresholds = _Multiples | _Sums
 """The possible totals, numbered 0, 1, ..."""
 
 
-_AHEAD = 8.0  # exact thresholds need few sums up to so many typical costs
+_AHEAD = 8.0  # exact thresholds need few sums up to this multiple of the typical cost
 _FINE = 500  # thresholds of a grid in a typical cost
 _NEARBY = 1e-2  # relative uncertainty of a price from another threshold
 _ROUNDING = 1e-14

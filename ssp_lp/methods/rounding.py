@@ -77,7 +77,7 @@ from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _ROUGH = 1e-4  # tolerance of the first model of split costs
 _ROUGH_FIRST = 1e-3  # tolerance of a model for its price alone, whose steps are far below a unit
-_ENOUGH = 0.3  # least tolerance of split costs, relative to the tolerance asked for
+_ENOUGH = 0.3  # least tolerance of split costs, relative to the solve's tolerance
 _SHARE = 0.1  # tolerance of the next model, relative to the current gap
 _ROUGH_COARSE = 1e-5  # tolerance of a coarser lattice, solved for its price
 _SPREAD = 1e-2  # relative uncertainty of a price from a coarser unit
@@ -290,7 +290,7 @@ def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> C
     if isinstance(policy, CostAwarePolicy):
         unit, most = _unit_of(outcome), _levels_asked(problem)
         room = _CELLS // max(problem.model.n_states, 1) if most is None else most
-        # so many that the cheapest step is at least one of them
+        # enough parts that the cheapest step is at least one of them
         parts = int(np.ceil(float(unit) / float(step_costs(problem.model)[1][1])))
         parts = max(min(parts, room // policy.cap), 1)
         levels = totals_of(np.arange(policy.cap * parts + 1), unit / parts)

@@ -27,7 +27,7 @@ OBJECTIVE = "objective"
 
 RESERVED = {
     FAILURE_ROW: "the failure budget",
-    OBJECTIVE: "what is minimised",
+    OBJECTIVE: "the objective",
     "balance": "the rows of flow balance",
     "normaliser": "the row that makes a ratio linear",
 }

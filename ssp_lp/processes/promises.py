@@ -89,7 +89,7 @@ class _Total(Followed):
 
 @QuantityFunction
 def within(quantity: Quantity, bound: float) -> Quantity:
-    """Return the probability that a run reaches the goal with a total of at most a bound.
+    """Return the quantity "probability of reaching the goal with a total of at most a bound".
 
     All other runs break the promise: with a larger total, by failing, giving up or wandering. The
     total counts from the start, a visit there included, to the step onto the goal.
@@ -106,7 +106,7 @@ def within(quantity: Quantity, bound: float) -> Quantity:
 
 @QuantityFunction
 def exceeds(quantity: Quantity, bound: float) -> Quantity:
-    """Return the probability that the total of a run exceeds a bound.
+    """Return the quantity "probability that the total of a run exceeds a bound".
 
     The step onto the goal, or into a dead-end, counts; the charge of giving up does not.
 
@@ -141,7 +141,7 @@ class _Traces(Followed):
 
 @QuantityFunction
 def holds(task: Task) -> Quantity:
-    """Return the probability that a run reaches the goal and its trace satisfies a task.
+    """Return the quantity "probability of reaching the goal with a trace that satisfies a task".
 
     A run that fails, gives up or wanders does not satisfy the task.
 

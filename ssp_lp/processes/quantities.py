@@ -258,7 +258,7 @@ class QuantityFunction(Generic[_Given]):
 
 @QuantityFunction
 def expected_cost() -> Quantity:
-    """Return the expected total cost of the model, counted as the criterion counts costs."""
+    """Return the quantity "expected total cost", counted as the criterion counts costs."""
     return Quantity(((1.0, _StageCosts()),))
 
 
@@ -266,7 +266,7 @@ def expected_cost() -> Quantity:
 def secondary_cost(
     cost: NestedCosts | npt.ArrayLike | str, *, through_failure: bool = False
 ) -> Quantity:
-    """Return the expected total of another cost, counted until failing as the model's own is.
+    """Return the quantity "expected total of another cost", counted until failing.
 
     Args:
         cost: the name of a cost of the model, such as "fuel"; ``{state: {action: cost}}``, 0 for
@@ -279,7 +279,7 @@ def secondary_cost(
 
 @QuantityFunction
 def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
-    """Return the expected visits of some states: entering, starting and staying count.
+    """Return the quantity "expected visits" of some states: entering, starting, staying.
 
     Visits count until the goal is reached or failure is declared; a dead-end is entered at most
     once.
@@ -298,11 +298,12 @@ def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
 
 @QuantityFunction
 def end_probability(*ways: Hashable) -> Quantity:
-    """Return the probability that an episode ends in one of some ways.
+    """Return the quantity "probability that an episode ends in one of some ways".
 
     Failing ends the cost, not the run: from a dead-end with actions, and from a state where the
     policy gave up, the run continues to its true end (mathematics, section 2). This is the goal,
-    the first dead-end with one of the names used in the problem, or a state without actions.
+    the first dead-end with one of the names used in the problem, or else the place where the run
+    can go no further.
 
     Args:
         ways: "goal", a label of dead-ends, "dead_end" (without a label), as in the ``ends`` of
@@ -314,13 +315,13 @@ def end_probability(*ways: Hashable) -> Quantity:
 
 @QuantityFunction
 def goal_probability() -> Quantity:
-    """Return the probability of reaching the goal."""
+    """Return the quantity "probability of reaching the goal"."""
     return end_probability("goal")
 
 
 @QuantityFunction
 def failure_probability() -> Quantity:
-    """Return the probability of never reaching the goal."""
+    """Return the quantity "probability of never reaching the goal"."""
     return Quantity(((1.0, _Ends(("goal",), others=True)),))
 
 
@@ -328,7 +329,7 @@ def failure_probability() -> Quantity:
 def arrival_cost(
     function: Callable[[FloatArray], FloatArray] | None = None, *, affine_from: float = 0.0
 ) -> Quantity:
-    """Return the charge of the total cost at the goal, to minimise given success.
+    """Return the quantity "charge of the total cost at the goal", to minimise given success.
 
     As the ``quantity`` of a user's criterion with ``ratio = True`` it is E[f(C) | goal], such as
     the mean lateness ``arrival_cost(lambda c: np.maximum(c - due, 0.0), affine_from=due)``.

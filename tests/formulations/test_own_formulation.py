@@ -215,7 +215,7 @@ def test_arrival_costs_add_and_scale() -> None:
 def test_what_an_arrival_cost_is_not() -> None:
     with pytest.raises(ModelError, match="ratio = True"):
         LeastQuantity(FIRST, "depot", arrival_cost())
-    with pytest.raises(ModelError, match="not limited"):
+    with pytest.raises(ModelError, match="cannot be limited"):
         MCMP(FIRST, "depot", 0.1, constraints={"late": arrival_cost() <= 3.0})
     with pytest.raises(ModelError, match="not fall"):
         solve(Falling(FIRST, "depot"))
