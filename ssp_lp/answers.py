@@ -338,7 +338,7 @@ def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
     except SSPError as error:
         return cargo.pack(error)
     except Exception as error:  # of one problem; the others go on
-        return cargo.pack(SolverError(f"it ended in {type(error).__name__}: {error}"))
+        return cargo.pack(SolverError(f"the solve ended in {type(error).__name__}: {error}"))
 
 
 class _Crew:
@@ -466,7 +466,7 @@ class _Crew:
             answer: Answer = self._cargo.unpack(packed)
             return answer
         if place in self._blind:
-            return SolverError("its worker could not read the models that were sent with it")
+            return SolverError("the worker could not read the models that were sent to it")
         self._blind.add(place)
         self._waiting.appendleft(place)
         return None

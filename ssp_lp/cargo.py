@@ -114,7 +114,7 @@ class Cargo:
         try:
             pickler.dump(thing)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise ModelError(f"it cannot be sent to another process: {error}") from error
+            raise ModelError(f"the problem cannot be sent to another process: {error}") from error
         return stream.getvalue()
 
     def unpack(self, packed: bytes, buffers: Iterable[memoryview] = ()) -> Any:

@@ -227,7 +227,7 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
     if (label := model.failure_label) is not None and start[~label.finite[0]].any():
         begun = start[: label.n_original]
         raise InfeasibleError(
-            "a quantity counted after failing grows without bound under every policy",
+            "a quantity counted after failing grows without end under every policy",
             failure_budget=problem.failure_budget,
             least_failure=lambda: max(1.0 - greatest_goal_from(label.original, begun), 0.0),
         )

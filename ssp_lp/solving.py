@@ -196,11 +196,11 @@ def _check_solution(solution: Solution, deadline: float | None) -> None:
     if not isfinite(solution.objective):
         faults.append(f"its value is {solution.objective!r}")
     if not 0.0 <= used <= 1.0 + _ROUNDING:
-        faults.append(f"it fails with {used!r}")
+        faults.append(f"its failure is {used!r}")
     if budget is not None and used > budget + LEAST_BUDGET:
-        faults.append(f"it fails with {used!r}, {budget!r} allowed")
+        faults.append(f"its failure is {used!r}, {budget!r} allowed")
     if not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) <= _ROUNDING):
-        faults.append("its weights are no lottery")
+        faults.append("its weights are no probabilities")
     taken, granted = solution.taken, solution.granted
     for condition in solution.problem.conditions if taken else ():
         for row in (each.by_digits for each in condition.rows):

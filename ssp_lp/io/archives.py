@@ -121,7 +121,7 @@ def _header_of(archive: Any, path: FilePath, kind: str) -> Any:
     if not isinstance(header, dict):
         raise ModelError("it was not written by ssp-lp")
     if (found := header.get("format", "")) != f"ssp-lp {kind}":
-        raise ModelError(f"it says {str(found)[:60]!r}")
+        raise ModelError(f"its format is {str(found)[:60]!r}")
     version = header.get("version")
     if type(version) is not int or not 1 <= version <= _VERSION:
         newer = type(version) is int and version > _VERSION

@@ -175,7 +175,7 @@ class Exploration:
         self._look_at(paid)
 
     def _look_at(self, paid: list[float]) -> None:
-        """Compute goal, bounds and labels of the states found last; queue those to expand."""
+        """Find goal, bounds and labels of the states found last; queue those to expand."""
         first, whole = len(self.is_goal), self.whole
         new = self.flat.states[first:]
         if not new:

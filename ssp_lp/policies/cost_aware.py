@@ -112,7 +112,7 @@ class CostAwarePolicy(Policy):
         return self._memory_at(nothing, self.tail_threshold[states] <= 0.0)
 
     def layers(self) -> CostLayers | None:
-        """Layers of the cost-aware policy; None: a cost is no multiple of one, or too large."""
+        """Return the policy by layer of cost; None: a cost is no multiple of it, or too large."""
         if self.levels is not None:
             return self._level_layers(self.levels)
         given = self.model.costs

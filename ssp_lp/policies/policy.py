@@ -464,8 +464,8 @@ class EpisodeBatch:
         elif self._is_model and (moved := ~self.over & (here != self._state)).any():
             k = int(np.argmax(moved))
             raise ModelError(
-                f"the episode is in state {self.model.states[int(self._state[k])]!r} by what was "
-                f"observed, not in {states[k]!r}; {_OTHER_WORLD}"
+                f"the episode is in state {self.model.states[int(self._state[k])]!r} by the last "
+                f"observation, not in {states[k]!r}; {_OTHER_WORLD}"
             )
         self.over |= self._ends[here]
         for member, mine in self.shares(going := np.flatnonzero(~self.over)):

@@ -112,7 +112,7 @@ def stated(format="ssp-lp policy", **entries):
         ({"header": np.array([{"a": 1}], dtype=object)}, "no ssp-lp policy file"),  # never opened
         ({"header": np.frombuffer(b"[1]", dtype=np.uint8)}, "no ssp-lp policy file"),
         (stated("ssp-lp solution", version=1), "no ssp-lp policy file"),
-        (stated("ssp-lp model", version=1), "no ssp-lp policy file: it says 'ssp-lp model'"),
+        (stated("ssp-lp model", version=1), "no ssp-lp policy file: its format is 'ssp-lp model'"),
         (stated(version=99), "version 99, .* newer ssp-lp"),
         (stated(version=0), "version 0, .*: write the policy again"),
     ],

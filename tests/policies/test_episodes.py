@@ -142,7 +142,7 @@ def test_steps_that_cannot_be_are_named_unless_the_world_is_another(tmp_path):
     one.observe(("hall", 1), 1.0)
     with pytest.raises(ModelError, match="was called twice"):
         one.observe(("hall", 1), 1.0)
-    with pytest.raises(ModelError, match=r"in state \('hall', 1\) by what was observed"):
+    with pytest.raises(ModelError, match=r"in state \('hall', 1\) by the last observation"):
         one.action(START)
     controller = written(policy, tmp_path)
     controller.action(START)
