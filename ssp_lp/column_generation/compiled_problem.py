@@ -891,7 +891,7 @@ class CompiledExplicit(CompiledProblem):
     resolution: Resolution | None = None  # of layers that are not multiples of a unit
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure
 
-    is_whole: ClassVar[bool] = True  # whether the model is in memory, for further computations
+    is_whole: ClassVar[bool] = True  # whether other problems on the model can be solved here
 
     def counting_rare_success(self, budget: float | None) -> Self:
         """Return the problem, with the goal as reward instead of failure if success is rare.

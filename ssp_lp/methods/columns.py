@@ -199,7 +199,7 @@ def _proof_of_stated_optimum(
 ) -> Proved:
     """Return the proof for the stated objective, from a bound of the minimised value."""
     objective = evaluation.objective
-    value = sense.worth(objective)  # ``worth`` is its own inverse
+    value = sense.worth(objective)  # ``constant - value`` is its own inverse
     if sense.constant is not None and sense.settled_bound(value, bound) == value:
         return Proved(objective, objective, allowed)
     return Proved(objective, sense.worth(bound), allowed, tail=tail)

@@ -483,7 +483,7 @@ def true_figures(problem: Problem, stated: CompiledExplicit) -> Truth | None:
     unlimited = Restated(plain.model, *asked, discount=plain.discount)
 
     def value(policy: MixedPolicy) -> float:
-        """Return the minimised value of a lottery; ``worth`` is its own inverse."""
+        """Return the minimised value of a lottery; ``constant - value`` is its own inverse."""
         return stated.sense.worth(evaluate(policy, unlimited).objective)
 
     def figures(policy: Policy) -> FloatArray:
