@@ -33,7 +33,7 @@ LEAST_RISE: Final = 1e-300
 """Rise of a probability below which sweeps that round down would stop."""
 
 FAILURE_FLOOR: Final = 1e-15
-"""Difference of two failure probabilities that counts as none, by the best goal probability.
+"""Difference of two failure probabilities that counts as 0, as a share of the goal probability.
 
 Far from any hazard least failures are 1e-100 or 1e-233: a search for gains relative to these would
 not end, and no episode would show the difference. As a share of the goal probability it keeps all

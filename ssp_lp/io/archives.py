@@ -519,7 +519,7 @@ class _PolicyRecords:
 _NUMBERS = ("objective", "lower_bound", "failure_price", "budget_used", "note", "upper_bound")
 
 _ROUNDING = 1e-9
-"""Relative difference of budgets that follow from a share of the greatest goal probability."""
+"""Relative difference within which budgets are equal that follow from a recomputed share."""
 
 
 @explained

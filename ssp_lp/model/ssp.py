@@ -699,8 +699,8 @@ class SSP(Graph, ReadOnlyCopies):
 
         Args:
             dead_ends: states from which no action reaches the goal, or labels of states, or a
-                predicate on states; if states are numbered, a string is the text of a number. None:
-                nothing is checked.
+                predicate on states; a string also matches the state that prints so, such as 3.
+                None: nothing is checked.
 
         Raises:
             ModelError: another state has no actions and is not a goal, or the goal is reached from

@@ -1,4 +1,4 @@
-"""Rows of some consecutive states of a model, as arrays that a function makes of their numbers."""
+"""Blocks of consecutive states of a model, as arrays that a function returns for their numbers."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from ssp_lp.errors import ModelError, in_short
 
 
 class StateRows(NamedTuple):
-    """Rows of some consecutive states, one state's pairs after the other's, as arrays."""
+    """Pairs and outcomes of some consecutive states, in their order, as arrays."""
 
     actions: npt.ArrayLike  # [some states] number of pairs of each
     outcomes: npt.ArrayLike  # [their pairs] number of outcomes of each
     successors: npt.ArrayLike  # [their outcomes] numbers of states
     probabilities: npt.ArrayLike  # [their outcomes]
     costs: npt.ArrayLike  # one number for all, or [their pairs], or [their outcomes]
-    named_costs: Mapping[str, npt.ArrayLike] = {}  # further ones by name, each as costs
+    named_costs: Mapping[str, npt.ArrayLike] = {}  # further costs by name, each as ``costs``
 
 
 Rows = Callable[[int, int], StateRows]
-"""Makes the rows of the states first .. end - 1."""
+"""Function that returns the rows of the states first .. end - 1."""
 
 
 def checked_rows(rows: Rows, first: int, end: int) -> StateRows:
-    """Return the rows of some states as arrays whose kinds and lengths fit.
+    """Return the rows of some states as arrays of checked types and lengths.
 
     Raises:
-        ModelError: naming the call and the array at fault.
+        ModelError: naming the call and the wrong array.
     """
     made, call = rows(first, end), f"rows({first}, {end})"
     if not isinstance(made, StateRows):
