@@ -80,12 +80,12 @@ class AccumulatedCost:
         """Cost of one layer of the process, as a float."""
         return float(self.step_classes.unit)
 
-    @property
+    @cached_property
     def by_steps(self) -> bool:
         """Whether the process tells steps apart by distinct costs, not by multiples of a unit."""
         return self.last_steps is not None
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Layers that one step can reach: 0 .. width - 1 ahead."""
         return self.step_classes.width
@@ -94,7 +94,7 @@ class AccumulatedCost:
         """Totals of the accumulated-cost process: the multiples of its unit below a cap."""
         return Totals.of_unit(self.exact_unit, cap, self.width)
 
-    @property
+    @cached_property
     def n_nodes(self) -> int:
         """States of one layer of the accumulated-cost process."""
         return self.quotient.n_nodes

@@ -91,8 +91,8 @@ def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
     fractions = [exact_cost(c, exact) for c in np.unique(costs).tolist() if c > 0]
     if not fractions:
         return Fraction(1)
-    denominator = lcm(*(f.denominator for f in fractions))
-    return Fraction(gcd(*(int(f * denominator) for f in fractions)), denominator)
+    denominator = lcm(*[f.denominator for f in fractions])
+    return Fraction(gcd(*[int(f * denominator) for f in fractions]), denominator)
 
 
 def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]) -> IntArray:
@@ -423,7 +423,7 @@ class Totals:
             return None
         return read_only(self.reached[:, 1:] - np.arange(1, self.size + 1)[:, None])
 
-    @property
+    @cached_property
     def span(self) -> int:
         """Number of totals that must be at hand: up to the farthest that steps lead to."""
         farthest = -1 if self.ahead is None else int(self.ahead.max(initial=-1))
