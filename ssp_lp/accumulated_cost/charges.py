@@ -15,6 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import numpy as np
@@ -176,12 +177,12 @@ class ExcessCharge(Charge):
     share: float  # 1 - level
     first: float | None = None  # None: the threshold
 
-    @property
+    @cached_property
     def offset(self) -> float:
         """Intercept of the affine part at total cost 0."""
         return self.threshold * (1.0 - self.slope)
 
-    @property
+    @cached_property
     def slope(self) -> float:
         """Slope of the charge beyond the threshold z."""
         return 1.0 / self.share

@@ -243,9 +243,8 @@ class LayerMoves:
             least_nodes: states times layers from which that is so, whatever follows them.
         """
         layers, nodes = self.layers, self.layers.count * self.model.n_states
-        if nodes >= least_nodes or layers.even < layers.count or (layers.leads(0) <= 0).any():
-            return nodes >= least_nodes
-        return accelerated(nodes, "layers.stream_evenly")
+        is_even = layers.even == layers.count and bool((layers.leads(0) > 0).all())
+        return nodes >= least_nodes or (is_even and accelerated(nodes, "layers.stream_evenly"))
 
     @with_twin
     def follow_evenly(

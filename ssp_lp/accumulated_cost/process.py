@@ -80,12 +80,12 @@ class AccumulatedCost:
         """Cost of one layer, as a float."""
         return float(self.step_classes.unit)
 
-    @property
+    @cached_property
     def by_steps(self) -> bool:
         """Whether step classes are distinct costs, rather than multiples of a unit."""
         return self.last_steps is not None
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Number of classes of steps; with a unit, steps reach 0 .. width - 1 layers ahead."""
         return self.step_classes.width
@@ -94,7 +94,7 @@ class AccumulatedCost:
         """Return the multiples of the unit up to a cap, as totals."""
         return Totals.of_unit(self.exact_unit, cap, self.width)
 
-    @property
+    @cached_property
     def n_nodes(self) -> int:
         """Number of nodes of one layer."""
         return self.quotient.n_nodes

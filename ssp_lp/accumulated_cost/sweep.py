@@ -51,7 +51,7 @@ from ssp_lp.dynamic_programming.equations import COMPONENTS
 from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 
-_ONE, _NONE = np.ones(1), np.zeros(0)
+_ONE, _NONE, _NO_LIMITS = np.ones(1), np.zeros(0), np.zeros((0, 0))
 
 _BELOW_EVERY_VALUE = 1e-6
 """Relative margin of the floor below minus the price, for rounding."""
@@ -408,9 +408,7 @@ class Sweep:
             parts = [room[: many + len(a)] for room, a in zip(rooms, ahead, strict=True)]
             for part, later in zip(parts, ahead, strict=True):
                 part[many:] = later
-            given = np.zeros((0, 0))
-            if limits is not None:
-                given = _at_least(limits[some], priced.floor)
+            given = _NO_LIMITS if limits is None else _at_least(limits[some], priced.floor)
             own = parts[0].ravel(), parts[1].reshape(-1, counts), position[some], keeps
             run(layers, priced.charged, priced.owed, priced.saved, *own, within, given)
             yield some, parts[0][:many], parts[1][:many]
@@ -506,12 +504,11 @@ class Sweep:
         """The layers as a backward sweep in one pass reads them; None: it goes layer by layer."""
         process, base = self.process, self.process.base
         cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
-        if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
+        is_long = self.is_acyclic and base.later.nnz > _MOST_ENTRIES
+        if cells > _MOST_CELLS or is_long or base.n_nodes == 0:
             return None
         loops = ("layers.sweep_layers", *(COMPONENTS if base.instant.nnz else ()))
         entries = base.later.nnz * process.cap
-        if base.n_nodes == 0:
-            return None
         is_compiled = accelerated(entries, *loops)
         is_plain = self.is_acyclic and entries + len(base.gain) * process.cap <= _FEW_CELLS
         whole = self._whole_pass if is_compiled or is_plain else None

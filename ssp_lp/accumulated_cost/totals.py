@@ -93,8 +93,8 @@ def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
     fractions = [exact_cost(c, exact) for c in np.unique(costs).tolist() if c > 0]
     if not fractions:
         return Fraction(1)
-    denominator = lcm(*(f.denominator for f in fractions))
-    return Fraction(gcd(*(int(f * denominator) for f in fractions)), denominator)
+    denominator = lcm(*[f.denominator for f in fractions])
+    return Fraction(gcd(*[int(f * denominator) for f in fractions]), denominator)
 
 
 def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]) -> IntArray:
@@ -426,7 +426,7 @@ class Totals:
             return None
         return read_only(self.reached[:, 1:] - np.arange(1, self.size + 1)[:, None])
 
-    @property
+    @cached_property
     def span(self) -> int:
         """Number of layers ahead that a sweep must hold: up to the farthest a step leads to."""
         farthest = -1 if self.ahead is None else int(self.ahead.max(initial=-1))

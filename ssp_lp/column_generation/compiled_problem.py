@@ -224,7 +224,7 @@ class CompiledProblem(ABC):
     def _copy_with_results(self, other: Self, *own: str) -> Self:
         """Copy cached results to another problem, except those named ``own``; return it."""
         shared = vars(self).keys() - vars(other).keys() - set(own)
-        vars(other).update((name, vars(self)[name]) for name in shared)
+        vars(other).update({name: vars(self)[name] for name in shared})
         return other
 
 
@@ -812,6 +812,7 @@ class CompiledArrivalCost(_CompiledLayered):
 
     def safest(self) -> CompiledArrivalCost:
         """Return the problem restricted to the policies of least failure."""
+        _ = self.safest_policy  # computed once
         safest = replace(self, safest_only=True, cap=None)
         return self._copy_with_results(safest, "process", "base", *_OF_TAILS)
 

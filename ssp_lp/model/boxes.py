@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import beta
 
 from ssp_lp.arrays import (
     PROBABILITY_SUM,
@@ -99,6 +98,8 @@ class Boxes(Report, ReadOnlyCopies):
         Raises:
             ModelError: a model without counts, or a confidence out of range.
         """
+        from scipy.special import betaincinv  # no other module loads it
+
         check_between_0_and_1("confidence", confidence)
         counts, offsets = counts_of(model), model.outcome_offsets
         widths = np.diff(offsets)
@@ -106,8 +107,8 @@ class Boxes(Report, ReadOnlyCopies):
         error = (1.0 - confidence) / max(2 * intervals, 1)  # on each side
         total = segment_sums(counts, offsets)[segment_ids(offsets)]
         alone, none, every = widths[segment_ids(offsets)] == 1, counts == 0.0, counts == total
-        low = beta.ppf(error, np.where(none, 1.0, counts), total - counts + 1.0)
-        high = beta.ppf(1.0 - error, counts + 1.0, np.where(every, 1.0, total - counts))
+        low = betaincinv(np.where(none, 1.0, counts), total - counts + 1.0, error)
+        high = betaincinv(counts + 1.0, np.where(every, 1.0, total - counts), 1.0 - error)
         low, high = np.where(none, 0.0, low), np.where(every, 1.0, high)
         return cls(model, np.where(alone, 1.0, low), np.where(alone, 1.0, high), float(confidence))
 

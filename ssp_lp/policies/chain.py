@@ -259,9 +259,9 @@ def policy_chain(
         frontier = sorted_unique(step[1][~visited[step[1]]])
 
     # from keys to indices of the nodes
-    source, target, chance, cost, outcome, node, pair, weight = (
+    source, target, chance, cost, outcome, node, pair, weight = [
         np.concatenate(part) for part in zip(*waves, strict=True)
-    )
+    ]
     known = np.flatnonzero(visited)
     position = np.zeros(visited.size, dtype=np.int32)
     position[known] = np.arange(known.size)

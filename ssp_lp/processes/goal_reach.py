@@ -101,9 +101,7 @@ def greatest_goal_reach(
     if not exact:
         quotient = build_quotient(model, ended=model.goal_mask | hopeless)
         return _extreme_reach(quotient, model.goal_mask, lost, *setting, greatest=True)
-    surely, starts = lost | surely, ~hopeless
-    if start is not None:
-        starts &= start > 0.0
+    surely, starts = lost | surely, ~hopeless & (start is None or start > 0.0)
     if not (starts & ~sure).any():  # the graph decides it all
         return GoalReach(reached, (~hopeless).astype(np.float64), decision, surely)
     everything = np.ones(model.n_pairs, dtype=np.bool_)
