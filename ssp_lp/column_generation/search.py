@@ -361,7 +361,8 @@ def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOpt
         weights[inside] = 1.0
     else:  # each computed separately, so that the small one is exact
         weights[[inside, outside]] = np.array([left, room]) / (left + room)
-    return MasterOptimum(float(value), weights, np.full_like(bounds, price), np.zeros_like(bounds))
+    prices = np.full(len(bounds), float(price))
+    return MasterOptimum(float(value), weights, prices, np.zeros(len(bounds)))
 
 
 def certified(master: Master, generated: Generated, tolerance: float) -> Generated:

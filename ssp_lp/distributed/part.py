@@ -37,10 +37,10 @@ class Part(SSP):
     wanted: set[int] = field(kw_only=True, default_factory=set)
     """Numbers of states that were looked up and are not known here."""
 
-    @property
+    @cached_property
     def kept_facts(self) -> dict[str, Any]:
-        """Facts about the whole graph, for the states known here."""
-        return self.facts
+        """Facts about the whole graph, and about the part's own costs, which are not shared."""
+        return dict(self.facts)
 
     @property
     def predecessors(self) -> Any:

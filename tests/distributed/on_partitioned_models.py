@@ -146,7 +146,7 @@ def check_errors():
     assert caught.value.conflicting_rows == ("few",)
     for criterion, asked, why in (
         (S3P, {"failure_budget": 0.05}, "S3P counts the total cost .* model held whole"),
-        (MinCost, {}, "MinCost asks for the whole graph"),
+        (MinCost, {}, "MinCost needs the whole graph"),
         (MCMP, {"failure_budget": 0.05, "horizon": 3}, "no horizon"),
         (MCMP, {"reach_fraction": 0.9}, "no reach_fraction"),
     ):
@@ -156,7 +156,7 @@ def check_errors():
     skid = {"go": [(0.5, "g", 1.0), (0.5, "skid", 1.0)]}  # who skids has failed, and goes on
     later = numbered(model_of({"x": skid, "skid": {"on": [(1.0, "wreck", 1.0)]}, "wreck": {}}))
     limits = {"ends": visits(2, through_failure=True) <= 0.6}
-    with pytest.raises(ModelError, match="what may come after failing"):
+    with pytest.raises(ModelError, match="counts events after failing"):
         partitioned(later).solve(MCMP, start=0, failure_budget=0.6, constraints=limits)
 
 
