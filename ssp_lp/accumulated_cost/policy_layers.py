@@ -250,10 +250,10 @@ class LayerMoves:
     def follow_evenly(
         self,
         waiting: FloatArray,
+        stopped: FloatArray,
         survivals: Sequence[float] = (1.0,),
         hopeful: BoolArray = _NO_MARKS,
         charged: tuple[FloatArray, FloatArray, BoolArray, bool] = _UNCHARGED,
-        stopped: FloatArray | None = None,
     ) -> FloatArray | None:
         """Follow mass through the first layers, as many as one compiled pass may follow.
 
@@ -261,18 +261,17 @@ class LayerMoves:
 
         Args:
             waiting: as of ``follow``.
+            stopped: what ends in each state, and what gives up there, written, [2, states].
             survivals: the discounts.
             hopeful: whence the goal can be reached, [layers, states]; empty: of one column.
             charged: mean cost of a step, [pairs], and of failing, [states], where giving up is not
                 allowed, [states], and whether costs are paid where the goal is lost.
-            stopped: what ends in each state, and what gives up there, written, [2, states].
 
         Returns:
             Goal, failure, cost of success and cost until failure, [layers, discounts, 4]; None
             where a decision is missing or not allowed.
         """
         model, layers, leads = self.model, self.layers, self.layers.leads(0)
-        stopped = np.zeros((2, model.n_states)) if stopped is None else stopped
         entries, several = model.n_outcomes * layers.even, _AT_ONCE // model.n_states + 1
         if (leads <= 0).any() or not accelerated(entries, "layers.stream_evenly"):
             return np.zeros((0, 1, 4))
@@ -532,7 +531,7 @@ def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, Flo
             return None
     waiting, goal = np.zeros((moves.room, len(start), 1)), np.zeros(layers.count)
     waiting[0, :, 0] = start
-    if (together := moves.follow_evenly(waiting)) is None:
+    if (together := moves.follow_evenly(waiting, np.zeros((2, len(start))))) is None:
         return None
     goal[: len(together)] = together[:, 0, 0]
     for layer, here, pairs, visits in moves.follow(waiting, first=len(together)):

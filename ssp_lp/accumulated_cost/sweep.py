@@ -508,9 +508,8 @@ class Sweep:
         if cells > _MOST_CELLS or is_long or base.n_nodes == 0:
             return None
         loops = ("layers.sweep_layers", *(COMPONENTS if base.instant.nnz else ()))
-        entries = base.later.nnz * process.cap
-        is_compiled = accelerated(entries, *loops)
-        is_plain = self.is_acyclic and entries + len(base.gain) * process.cap <= _FEW_CELLS
+        is_compiled = accelerated(base.later.nnz * process.cap, *loops)
+        is_plain = self.is_acyclic and (base.later.nnz + len(base.gain)) * process.cap <= _FEW_CELLS
         whole = self._whole_pass if is_compiled or is_plain else None
         return None if whole is None else (*whole, is_compiled)
 
@@ -633,8 +632,10 @@ def at_weights(
         measures: measures beyond the cap, [layers beyond, nodes, 1 + counted]; none for bounds.
         bounds: round the pair costs down.
     """
-    parts = sweep.counted * weights[1:]
-    owed, saved = np.maximum(parts, 0.0).sum(axis=1), -np.minimum(parts, 0.0).sum(axis=1)
+    owed, saved = np.zeros((2, len(sweep.counted)))
+    for counted, weight in zip(sweep.counted.T, weights[1:].tolist(), strict=True):
+        part = weight * counted  # a column at a time: numpy sums short rows slowly
+        owed, saved = owed + np.maximum(part, 0.0), saved - np.minimum(part, 0.0)
     if bounds:
         saved += weighted_rounding(sweep.counted, weights[1:]) * (owed + saved)
     return Priced(owed, saved, beyond, measures, float(weights[0]))

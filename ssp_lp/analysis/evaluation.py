@@ -498,7 +498,7 @@ def layered_measures(
     waiting[0, :, ::3] = start[:, None]
     stopped = np.zeros((2, model.n_states))  # mass that ends in each state, and that gives up there
     charged = costs.stage, costs.stopping, np.isinf(costs.charge), costs.goes_on
-    together = moves.follow_evenly(waiting, survivals, hopeful, charged, stopped)
+    together = moves.follow_evenly(waiting, stopped, survivals, hopeful, charged)
     if together is None:
         return None
     ends, parts = np.zeros(len(model.state_labels) + 3), list(together)

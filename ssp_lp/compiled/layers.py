@@ -6,16 +6,13 @@ Index arrays are unsigned views, as numba tests signed indices for negative valu
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
 
 from ssp_lp.arrays import MACHINE_EPSILON
 from ssp_lp.compiled.cores import compiled_loop, one_or_all_cores
-
-if TYPE_CHECKING:
-    from ssp_lp.accumulated_cost.sweep import Layers
 
 Array = np.ndarray[Any, Any]
 
@@ -39,7 +36,7 @@ class OneLayer(NamedTuple):
 
 @compiled_loop(inline="always")
 def _best_pair(
-    pick: Any, past: Any, layers: Layers, one: OneLayer, values: Array,
+    pick: Any, past: Any, layers: Any, one: OneLayer, values: Array,
 ) -> tuple[float, Any]:  # fmt: skip
     """Return the least value of a node's pairs in a layer, and the first pair that attains it."""
     least = np.inf
@@ -59,7 +56,7 @@ def _best_pair(
 
 @compiled_loop(inline="always")
 def _measure_of(
-    pick: Any, layers: Layers, one: OneLayer, measured: Array, here: Array,
+    pick: Any, layers: Any, one: OneLayer, measured: Array, here: Array,
 ) -> None:  # fmt: skip
     """Write the measures of a pair in a layer, [1 + counted]."""
     for j in range(here.size):
@@ -77,7 +74,7 @@ def _measure_of(
 
 @compiled_loop
 def _settle(
-    layers: Layers, one: OneLayer, row: Any, values: Array, picks: Array, measured: Array,
+    layers: Any, one: OneLayer, row: Any, values: Array, picks: Array, measured: Array,
     here: Array,
 ) -> None:  # fmt: skip
     """Write the least values of a layer, and the pairs that attain them.
@@ -115,7 +112,7 @@ def _settle(
 
 @compiled_loop
 def _measure(
-    layers: Layers, one: OneLayer, picks: Array, row: Any, measured: Array, here: Array,
+    layers: Any, one: OneLayer, picks: Array, row: Any, measured: Array, here: Array,
 ) -> None:  # fmt: skip
     """Write the measures of a layer's choice; nodes that are not reached keep 0."""
     n = picks.size
@@ -135,7 +132,7 @@ def _measure(
 
 @compiled_loop
 def _lower(
-    layers: Layers, one: OneLayer, row: Any, values: Array, within: Array,
+    layers: Any, one: OneLayer, row: Any, values: Array, within: Array,
 ) -> None:  # fmt: skip
     """Lower the values of a layer to their backups, with rounding counted against each.
 
@@ -179,7 +176,7 @@ def _lower(
 
 @compiled_loop
 def sweep_layers(
-    layers: Layers, weight: float, owed: Array, saved: Array, values: Array, measured: Array,
+    layers: Any, weight: float, owed: Array, saved: Array, values: Array, measured: Array,
     position: Array, keeps: bool, within: Array, given: Array,
 ) -> None:  # fmt: skip
     """Sweep backward over a block of layers in one pass, the last layer first.

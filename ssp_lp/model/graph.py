@@ -205,15 +205,17 @@ def surely_ending(
     open_pairs = np.ones(len(model.pair_state), dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets) + ends  # so that ``ends`` are never closed
     lost = open_counts == 0
+    if model.n_outcomes > _TURNS * _FEW_ENTRIES:  # a short search saves a round of long ones
+        lost |= ~reaching_states(model, ends)
     while True:
+        open_pairs &= ~lost[model.pair_state]
+        open_counts[lost] = 0
         drain(model, open_pairs, open_counts, lost.nonzero()[0])
         kept = open_counts > 0
         nearer = nearer_pairs(model, leading & open_pairs, open_pairs)
         lost = kept & ~ends & (nearer < 0)
         if not lost.any():
             return kept, open_pairs, nearer
-        open_pairs &= ~lost[model.pair_state]
-        open_counts[lost] = 0
 
 
 @kept
