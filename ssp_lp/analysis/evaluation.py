@@ -597,7 +597,9 @@ def check_giving_up(chain: Chain, problem: Problem) -> None:
     forbidden = np.isinf(give_up_costs(chain, semantics, free))
     if forbidden.any():
         state = chain.model.states[int(chain.state[int(np.argmax(forbidden))])]
-        raise ModelError(f"the policy gives up in state {state!r}: not with {semantics.give_up!s}")
+        raise ModelError(
+            f"the policy gives up in state {state!r}: {semantics.give_up!s} forbids it"
+        )
 
 
 def lost_costs(
@@ -607,7 +609,7 @@ def lost_costs(
     survival: float,
     free: BoolArray | None = None,
 ) -> FloatArray:
-    """Return the cost to come at nodes that cannot reach the goal, [nodes].
+    """Return the expected cost from nodes of a policy's chain that cannot reach the goal, [nodes].
 
     Failure is declared there at once, and charged according to the semantics; with ``DEAD_ENDS``
     stage costs are paid until a dead-end is entered, infinite if none ever is.
