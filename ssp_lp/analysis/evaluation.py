@@ -597,9 +597,7 @@ def check_giving_up(chain: Chain, problem: Problem) -> None:
     forbidden = np.isinf(give_up_costs(chain, semantics, free))
     if forbidden.any():
         state = chain.model.states[int(chain.state[int(np.argmax(forbidden))])]
-        raise ModelError(
-            f"the policy gives up in state {state!r}: {semantics.give_up!s} forbids it"
-        )
+        raise ModelError(f"the policy gives up in state {state!r}: not with {semantics.give_up!s}")
 
 
 def lost_costs(
