@@ -58,7 +58,7 @@ class CostQuantile(Formulation):
         most often.
 
     Raises:
-        ModelError: a level or a budget that is no number or out of range, or an unknown start.
+        ModelError: a level or a budget that is not a number or out of range, or an unknown start.
 
     Example:
         >>> from ssp_lp import SSP, solve

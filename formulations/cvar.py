@@ -50,7 +50,7 @@ class CVaR(Formulation):
         ``lower_bound``, the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
-        ModelError: a level or a budget that is no number or out of range, or an unknown start.
+        ModelError: a level or a budget that is not a number or out of range, or an unknown start.
 
     Example:
         >>> from ssp_lp import SSP, solve

@@ -25,7 +25,7 @@ class MinProb(Formulation):
         ``lower_bound`` comes from a checked sub-solution of the optimality equations.
 
     Semantics:
-        exact, wandering for ever is not reaching. At an attention state that is no dead-end the
+        exact, wandering for ever is not reaching. At an attention state that is not a dead-end the
         policy gives up; an episode's ``continue_after_give_up`` avoids the goal from there on.
 
     Reference:

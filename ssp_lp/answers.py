@@ -1,7 +1,8 @@
 """Solve many problems side by side with processes, threads or machines; answers keep the order.
 
-Each model is sent to the workers once, as a file that they map into memory. In problems and answers
-its place in that file stands for it: both are small, and answers refer to the caller's own model.
+Each model is sent to the workers once, as a file that they map into memory. Problems and
+answers refer to it by its place in that file: both are small, and answers refer to the caller's own
+model.
 """
 
 from __future__ import annotations
@@ -391,7 +392,7 @@ class _Crew:
             come: called with each place and its answer.
 
         Returns:
-            The answer for the problems that have none.
+            The error that answers each problem without an answer.
 
         Raises:
             SolverError: no process could be started, or the executor accepts no problem.

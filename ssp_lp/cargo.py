@@ -1,8 +1,8 @@
 """Problems and answers sent between processes, in which models are named, not repeated.
 
-Each model is sent once, as a file that any process maps into memory. In all other pickles its place
-in that file stands for it: problems and answers are small, and answers refer to the caller's own
-model.
+Each model is sent once, as a file that any process maps into memory. All other pickles refer to the
+model by its place in that file: problems and answers are small, and answers refer to the caller's
+own model.
 """
 
 from __future__ import annotations

@@ -198,7 +198,7 @@ class Formulation(Problem):
             raise ModelError(f"model must be an SSP, not {in_short(self.model)}")
         if isinstance(self.model, ImplicitSSP):
             if self.box is not None:
-                raise ModelError("boxes do not support an implicit model: SSP.from_successors(...)")
+                raise ModelError("boxes need the whole model: build it by SSP.from_successors(...)")
             check_explorable(self)
             return  # states and their names are looked up as they are found
         _ = self._begun
@@ -303,7 +303,7 @@ class Formulation(Problem):
         """
         measure = None if self.quantity is None else arrival_measure(self.quantity)
         if measure is not None and (self.discount is not None or not self.ratio):
-            flaw = "has no discount" if self.ratio else "is counted given success: say ratio = True"
+            flaw = "has no discount" if self.ratio else "is counted given success: set ratio = True"
             raise ModelError(f"{type(self).__name__}: an arrival cost {flaw}")
         return measure
 
@@ -343,7 +343,7 @@ class Formulation(Problem):
         """Return the formulation's linear program over expected visits.
 
         Raises:
-            ModelError: the criterion is no linear program.
+            ModelError: the criterion is not a linear program.
             InfeasibleError: the failure budget is below the least failure.
         """
         from ssp_lp.methods.labelled_program import program_of

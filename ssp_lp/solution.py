@@ -126,7 +126,7 @@ class Solution(Facts, ReadOnlyCopies):
         is built for this purpose; actions have values and advantages, too.
 
         Raises:
-            ModelError: the criterion is no linear program, or the problem's class has none.
+            ModelError: the criterion is not a linear program, or the problem's class has none.
         """
         values: StateValues = self.problem.program().values_at(self.prices, self.objective)
         return values
@@ -151,7 +151,7 @@ class Solution(Facts, ReadOnlyCopies):
             cost_paid: in case S the cost paid before; None: the least one in the program.
 
         Raises:
-            ModelError: the criterion is no linear program, or the state has no decision.
+            ModelError: the criterion is not a linear program, or the state has no decision.
 
         Example:
             >>> from ssp_lp import MCMP, SSP, solve
@@ -554,7 +554,7 @@ def unproved_failure(failure: float, bound: float | None) -> str:
 
 _ROUNDED = 1e-14  # of probabilities: error of their sums and differences
 
-CUT_SHORT = "stopped before the tolerance was met; the gap is honest"
+CUT_SHORT = "stopped before the tolerance was met; the gap is still certified"
 """Note on every search that ran out of time, or was interrupted."""
 
 

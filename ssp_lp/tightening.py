@@ -180,7 +180,7 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
     """Return a pool with the plan whose worst failure probability is least.
 
     Raises:
-        InfeasibleError: even that one is above the budget.
+        InfeasibleError: even this plan's worst failure probability exceeds the budget.
     """
     budget, pool = problem.failure_budget, _Pool(problem, box)
     loss, decision, *_ = settled(box, replace(problem.semantics, aim=Aim.GREATEST_GOAL))

@@ -53,7 +53,7 @@ def number_argument(text: str) -> Fraction:
         if rest:
             raise ValueError
     except (ValueError, ZeroDivisionError, OverflowError):
-        raise ArgumentTypeError(f"{text!r} is no number that fits a float") from None
+        raise ArgumentTypeError(f"{text!r} is not a number that fits a float") from None
     return number / 100 if percent else number
 
 
@@ -125,7 +125,7 @@ _MODEL_HELP = """\
 MODEL is a file (.json, .csv, .drn, .umb, .npz, through Storm .prism, .nm, .pm, .jani; also
 .json.gz, .drn.gz, .drn.xz), "-" for JSON from standard input, or gym:NAME for an environment of
 Gymnasium's, gym:NAME,map_name=8x8 with its arguments. In JSON a model is
-{state: {action: [[probability, successor, cost], ...]}}; a state without actions that is no goal
+{state: {action: [[probability, successor, cost], ...]}}; a state without actions that is not a goal
 is a dead-end."""
 
 

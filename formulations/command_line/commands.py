@@ -111,7 +111,7 @@ def _model_from_standard_input() -> str:
 
 
 def _model_of_environment(asked: Namespace) -> _CommandModel:
-    """Return the model of a Gymnasium environment that the command line names."""
+    """Return the text of a command's model on standard input, which is read once."""
     gymnasium = optional_module("gymnasium", "gym")
     name, *words = asked.model.removeprefix(ENVIRONMENT).split(",")
     arguments = {key: _value_for_model(word) for key, _, word in (w.partition("=") for w in words)}
@@ -198,7 +198,7 @@ def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
     for one in words.split(" + "):
         match = _TERM.fullmatch(one.strip())
         if match is None:
-            raise ModelError(f'"{words}" is no sum of quantities: cost + 2 * visits(ward)')
+            raise ModelError(f'"{words}" is not a sum of quantities: cost + 2 * visits(ward)')
         factor, word, states = match.groups()
         if word in _OF_STATES and states:
             is_label = states in of.model.state_labels
@@ -223,7 +223,7 @@ def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
     except ModelError as error:
         names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
         nearest = did_you_mean(word, dict.fromkeys(names), "quantities are")
-        raise ModelError(f"{word!r} is no quantity of this model{nearest}") from error
+        raise ModelError(f"{word!r} is not a quantity of this model{nearest}") from error
 
 
 def _problem_number(word: str, whole: str) -> float:
@@ -231,7 +231,7 @@ def _problem_number(word: str, whole: str) -> float:
     try:
         return float(number_argument(word))
     except ArgumentTypeError as error:
-        raise ModelError(f'"{word}" in "{whole}" is no number') from error
+        raise ModelError(f'"{word}" in "{whole}" is not a number') from error
 
 
 _OPERATOR = re.compile(

@@ -218,7 +218,7 @@ class Measure(ABC):
 
     @property
     def charge(self) -> Charge:
-        """The charge whose expectation the measure is; for a search, the first charge."""
+        """The charge whose expectation is the measure; in a search over charges, the first one."""
         return TOTAL_COST
 
     @abstractmethod

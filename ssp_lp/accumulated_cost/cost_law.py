@@ -63,7 +63,7 @@ class CostLaw:
 
     @property
     def is_finer(self) -> bool:
-        """Whether the law is of the paid costs although the members round costs up."""
+        """Whether the law uses the true costs although the members round costs up."""
         return bool(self._rounded)
 
     @cached_property
@@ -183,7 +183,7 @@ class CostLaw:
             raise ModelError(f"rate must be a number of at most 0, not {in_short(rate)}")
 
         def discounted(chain: Chain) -> float:
-            """Return the expectation for a member, with the factor of a step as giving up."""
+            """Return the expectation for a member, with the factor of each step as a discount."""
             lost, factor = chain.per_node(-np.expm1(rate * chain.cost)), np.exp(rate * chain.cost)
             chance, give_up = chain.probability * factor, chain.give_up + lost
             tilted = replace(chain, probability=chance, give_up=give_up)
@@ -210,7 +210,7 @@ class CostLaw:
             return 0.0
 
         def gain(costs: FloatArray) -> FloatArray:
-            """Return the utility minus its limit."""
+            """Return the utility minus the utility of infinite cost."""
             return utilities(utility, costs) - at_infinity
 
         def gained(arrivals: Arrivals) -> float:

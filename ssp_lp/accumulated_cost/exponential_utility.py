@@ -69,7 +69,7 @@ def pairs_keeping_goal(model: SSP, greatest: GoalReach) -> BoolArray:
 
 
 def _lost_goal(model: SSP, greatest: GoalReach) -> FloatArray:
-    """Return the loss of goal probability by each pair if it is the greatest after it, [pairs]."""
+    """Return the loss of greatest goal probability by taking each pair once, [pairs]."""
     here = greatest.goal[model.pair_state]
     return np.asarray(here - successor_means(model, greatest.goal))
 

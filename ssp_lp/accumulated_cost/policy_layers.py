@@ -115,7 +115,7 @@ class LayerMoves:
 
     @cached_property
     def classes(self) -> IntArray:
-        """Class of each outcome's cost, [outcomes]; empty if there is one class."""
+        """Index of each outcome's cost among the distinct step costs, [outcomes]; or empty."""
         costs, model = self.layers.costs, self.model
         if len(costs) == 1:
             return _NO_CLASSES
@@ -240,7 +240,7 @@ class LayerMoves:
         """Whether following the layers takes no longer than writing out the policy's chain.
 
         Args:
-            least_nodes: states times layers from which that is so, whatever follows them.
+            least_nodes: states times layers from which the layers count as fast.
         """
         layers, nodes = self.layers, self.layers.count * self.model.n_states
         is_even = layers.even == layers.count and bool((layers.leads(0) > 0).all())
@@ -257,13 +257,13 @@ class LayerMoves:
     ) -> FloatArray | None:
         """Follow mass through the first layers, as many as one compiled pass may follow.
 
-        They are those whose steps all go on, and equally many layers ahead from each.
+        These layers have steps that all go on, equally many layers ahead from each layer.
 
         Args:
-            waiting: as of ``follow``.
-            stopped: what ends in each state, and what gives up there, written, [2, states].
+            waiting: mass, as for ``follow``.
+            stopped: written: mass that ends in each state, and that gives up, [2, states].
             survivals: the discounts.
-            hopeful: whence the goal can be reached, [layers, states]; empty: of one column.
+            hopeful: where the goal can be reached, [layers, states]; empty: for one column.
             charged: mean cost of a step, [pairs], and of failing, [states], where giving up is not
                 allowed, [states], and whether costs are paid where the goal is lost.
 

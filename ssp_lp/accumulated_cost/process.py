@@ -377,7 +377,7 @@ class LayeredTails:
         return self.values.goal
 
     def bounding(self, goal: FloatArray) -> TailValues:
-        """Return ideal values that bound those of all policies, at a goal probability."""
+        """Return values that bound those of every policy with a given goal probability."""
         nothing = np.zeros_like(goal)
         moment = nothing if self.greatest_moment is None else nothing + self.greatest_moment
         return TailValues(goal, 1.0 - goal, nothing, nothing, moment)

@@ -501,7 +501,7 @@ class Sweep:
 
     @property
     def one_pass(self) -> OnePass | None:
-        """The layers as a backward sweep in one pass reads them; None: it goes layer by layer."""
+        """Input of a backward sweep in one pass; None: the sweep goes layer by layer."""
         process, base = self.process, self.process.base
         cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
         is_long = self.is_acyclic and base.later.nnz > _MOST_ENTRIES
@@ -515,9 +515,9 @@ class Sweep:
 
     @cached_property
     def _whole_pass(self) -> tuple[Layers, FloatArray] | None:
-        """The layers as a backward sweep in one pass reads them, whatever is asked for.
+        """Input of a backward sweep in one pass, without the tests of ``one_pass``.
 
-        None if the charges are too many, or runs of free steps too long.
+        None: there are too many charges, or runs of free steps are too long.
         """
         process, base, cap = self.process, self.process.base, self.process.cap
         arriving = process.arriving
@@ -577,13 +577,13 @@ def _sweep_plainly(
     layers: Layers, weight: float, owed: FloatArray, saved: FloatArray, values: FloatArray,
     measured: FloatArray, position: IntArray, keeps: bool, _: FloatArray, given: FloatArray,
 ) -> None:  # fmt: skip
-    """Backward sweep over a block of layers without free steps, as of ``layers.sweep_layers``."""
+    """Sweep backward over layers without free steps, in NumPy; see ``layers.sweep_layers``."""
     n, offsets, nodes = layers.offsets.size - 1, layers.offsets.astype(np.int64), layers.nodes
     width, number = (int(layers.leads.max(initial=0)) + 1) * n, np.arange(offsets[-1])
     begins, lengths, is_even = offsets[:-1], np.diff(offsets), len(layers.leads) == 1
 
     def columns(leads: IntArray) -> IntArray:
-        """Where the values stand that each step leads to, [entries]."""
+        """Return the position of the value that each step leads to, [entries]."""
         return (leads * n)[layers.classes].astype(np.int32) + nodes.view(np.int32)
 
     indptr, shape = layers.indptr.view(np.int32), (number.size, width)

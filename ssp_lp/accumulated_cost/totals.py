@@ -149,7 +149,7 @@ class StepClasses:
 
 
 def _is_counted(model: SSP, counted: BoolArray, some: slice) -> BoolArray:
-    """Return a mask of the possible outcomes, of some, that lead to counted states, [some]."""
+    """Return whether each of some outcomes is possible and leads to a counted state, [some]."""
     return np.asarray(counted[model.successors[some]] & (model.probabilities[some] > 0))
 
 
@@ -417,7 +417,7 @@ class Totals:
 
     @cached_property
     def ahead(self) -> IntArray | None:
-        """Number of the total a step leads to, minus that of the next one.
+        """Number of layers from the next total to the one that a step leads to.
 
         [totals below the cap, steps - 1]; None for multiples of a unit, where it follows from the
         class.
@@ -513,8 +513,8 @@ def resolution_for(
 ) -> Resolution | None:
     """Return the resolution that a problem needs; None: multiples of a unit are enough.
 
-    They are not if the costs have no common unit, or one so small that far fewer sums than
-    multiples can occur.
+    Multiples are not enough if the costs have no common unit, or a unit so small that far fewer
+    sums than multiples can occur.
 
     Args:
         model: the model.

@@ -164,7 +164,7 @@ MOST_WRITTEN: Final = 20_000_000
 
 @dataclass(frozen=True, eq=False)
 class OpenEnded(ChargedLayers):
-    """States (node, layer) below the cap, then the last layer beyond it, then the source."""
+    """A process of the states (node, layer) below the cap, one layer beyond it, and a source."""
 
     base: AccumulatedCost
     charge: Charge
@@ -237,7 +237,7 @@ class OpenEnded(ChargedLayers):
         return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """Return None: these pairs must be found on the explicit process."""
+        """Return None, as pairs nearer the goal must be found on the explicit process."""
         return
 
     @cached_property
@@ -270,7 +270,7 @@ class OpenEnded(ChargedLayers):
         return self.step_cost(np.where(going_on, self.least_goal, 0.0))
 
     def reaching(self, goal: FloatArray) -> FloatArray:
-        """Return the goal probability from each state, [states], from that of each node."""
+        """Convert goal probabilities of nodes to goal probabilities of states, [states]."""
         states = self.base.quotient.lift(goal)
         states[self.base.quotient.model.goal_mask] = 1.0
         return states
@@ -332,7 +332,7 @@ class LastLayer:
         return self.layered.own_cost_from(self.layered.cap)
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """Return the policy of a choice in the last layer, followed at all costs.
+        """Return None, as pairs nearer the goal must be found on the process itself.
 
         Args:
             choice: pair of each node, [nodes].
@@ -386,7 +386,7 @@ def first_total(charge: Charge, typical: float) -> float:
 
 
 def truncates(charge: Charge | None, total: float) -> bool:
-    """Return whether the last layer may lose something, as the charge changes beyond the cap."""
+    """Return whether the last layer is inexact, as the charge may change beyond the cap."""
     if charge is None or charge.slope > 0.0:
         return charge is not None
     settled = charge.settled

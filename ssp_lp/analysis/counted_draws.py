@@ -44,7 +44,7 @@ def counted_words(seed: int, episode: IntArray, step: int) -> tuple[Words, Words
 
 
 def high_product(one: Words, other: Words | np.uint64) -> Words:
-    """Return the upper words of products of drawn words, like ``one``."""
+    """Return the upper halves of the 128-bit products of random words, like ``one``."""
     one_low, one_high, low, high = one & _LOW, one >> _HALF, other & _LOW, other >> _HALF
     middle = one_high * low + ((one_low * low) >> _HALF)
     crossed = one_low * high + (middle & _LOW)

@@ -607,7 +607,7 @@ def lost_costs(
     survival: float,
     free: BoolArray | None = None,
 ) -> FloatArray:
-    """Return the cost to come at nodes that cannot reach the goal, [nodes].
+    """Return the expected cost from nodes of a policy's chain that cannot reach the goal, [nodes].
 
     Failure is declared there at once, and charged according to the semantics; with ``DEAD_ENDS``
     stage costs are paid until a dead-end is entered, infinite if none ever is.

@@ -125,7 +125,7 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class Number:
-    """A number of a problem, or several that move together."""
+    """A number of a problem (a probability, a cost, a bound), or several that move together."""
 
     kind: str  # "probability", "cost", "bound", "start", "parameter" or "group"
     name: str
@@ -138,7 +138,7 @@ class Number:
 
     @property
     def scale(self) -> float:
-        """Size of a number, which weights its derivative: of a probability p min(p, 1 - p)."""
+        """Size of a number, which weights its derivative; min(p, 1 - p) for a probability p."""
         size = 1.0 if self.value is None else abs(self.value)
         return min(size, 1.0 - size) if self.kind in ("probability", "start") else size
 
@@ -199,7 +199,7 @@ class _Optimum:
             if measure.beyond <= _BEYOND:
                 return cls(solved, measure)
             size *= 2.0
-        raise SolverError("too many totals of the cost matter for derivatives given success")
+        raise SolverError("too many total costs for derivatives of a cost given success")
 
     @cached_property
     def objective(self) -> float:
@@ -238,7 +238,7 @@ class _Optimum:
 
     @cached_property
     def paid(self) -> list[tuple[float, SSP]]:
-        """Costs of steps that count, as weights and models whose own costs they are."""
+        """Step costs that count: a weight, and a model that has this cost as its own, for each."""
         model, semantics = self.problem.model, self.problem.semantics
         counts = not self.problem.ratio and semantics.aim is Aim.LEAST_COST
         own = [(1.0, model)] if counts else []
@@ -256,7 +256,7 @@ class _Optimum:
 
     @cached_property
     def ends(self) -> tuple[FloatArray, float]:
-        """Worth of entering each state, except what follows in live ones, [states]; of leaking."""
+        """Worth of entering each state, future values excluded, [states]; worth of leaking."""
         quotient = self.measure.program.augmented.quotient
         model, goal, dead = self.problem.model, self.problem.model.goal_mask, quotient.dead
         ended, entering, leak = quotient.node_of < 0, np.zeros(model.n_states), self.failing
@@ -330,7 +330,7 @@ class _Optimum:
         wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
         if wrong.any():
             label = self.measure.program.label(int(own[np.argmax(wrong)]))
-            raise ModelError(f"{label} costs more than its outcomes: no derivatives")
+            raise ModelError(f"no derivatives: {label} costs more than its outcomes")
 
     @cached_property
     def by_probability(self) -> FloatArray:
@@ -369,7 +369,7 @@ class _Optimum:
         return {name: name in paid or name == own for name in by_name}
 
     def _name_of(self, costs: SSP) -> str | None:
-        """Return the name of the cost that another model has as its own, or None."""
+        """Return the problem's name for the cost that another model counts, or None."""
         by_name = self.problem.model.costs_by_name.items()
         same = (name for name, each in by_name if each is costs.costs)
         own = next(iter(self.problem.model.costs_by_name))
@@ -461,7 +461,7 @@ class _Optimum:
         return model if isinstance(model, ProductSSP) and model.is_hidden else None
 
     def _stated(self, per_outcome: FloatArray) -> FloatArray:
-        """Return the stated model's numbers by outcome from the solved model's, [outcomes]."""
+        """Convert numbers of the solved model's outcomes to the stated model's, [outcomes]."""
         if (counting := self.counting_steps) is None:
             return per_outcome
         places, size = counting.original_outcome, counting.original.n_outcomes
@@ -486,9 +486,9 @@ class _Optimum:
     def is_unique(self) -> bool:
         """Whether lottery and prices are the only optimal ones.
 
-        They are if every optimal pair of a visited state is used, if the number of these pairs
-        minus that of states is the number of rows with a price, if every tight row has a price, and
-        if no failing charge is attained by two actions.
+        They are unique if every optimal pair of a visited state is used, if there are as many such
+        pairs as visited states and rows with a price together, if every tight row has a price, and
+        if no charge of failing is attained by two actions.
         """
         measure, process = self.measure, self.measure.program.process
         scale = 1.0 + float(np.nanmax(np.abs(self.values)))
@@ -525,7 +525,7 @@ def _solved_in_time(problem: Problem) -> OccupationMeasure:
     """Solve a problem's program at a vertex.
 
     Raises:
-        SolverError: no answer passes its check, or it is no vertex.
+        SolverError: no answer passes its check, or it is not a vertex.
         Stop: the deadline of the call passes before.
     """
     check_time()
@@ -555,7 +555,7 @@ def _facts(model: SSP) -> dict[str, Any]:
 class WhatIf(Report):
     """Derivatives of an optimum by the numbers of its problem, those that matter most first.
 
-    A number matters by its derivative times its size, of a probability p min(p, 1 - p). Unlisted
+    A number matters by its derivative times its size (for a probability p: min(p, 1 - p)). Unlisted
     numbers belong to actions that are not optimal: changing them slightly does not change the
     optimum.
     """
@@ -574,7 +574,7 @@ class WhatIf(Report):
         own = next(iter(self.problem.model.costs_by_name))
         if self.problem.ratio and any(name == own for name, _ in change.costs):
             slope = self.optimum.along(change)
-            return Effect(number, slope, slope, "slope of the lottery as it stands")
+            return Effect(number, slope, slope, "slope if the lottery does not change")
         ends = [change.most(self.problem, sign) for sign in (-1.0, 1.0)]
         is_unique, slope = self.optimum.is_unique, self.optimum.along(change)
         if is_unique and min(ends) > 0.0 and np.isfinite(slope) and not self._at_least_by_budget:
@@ -591,7 +591,7 @@ class WhatIf(Report):
         """Return the reason why the optimum has no derivative in a direction, or empty."""
         problem, model = self.problem, self.problem.model
         if (change.probabilities or change.start) and problem.reach_fraction is not None:
-            return "the greatest goal probability, hence the budget, moves too"
+            return "the budget changes as well, with the greatest goal probability"
         of_budget = problem.failure_budget is None
         if change.probabilities and of_budget and self.optimum.chooses_among_safest:
             return "two actions are equally safe: the least failure decides between them"
@@ -603,7 +603,7 @@ class WhatIf(Report):
             now, then = _facts(model), _facts(change.applied(problem, step).model)
             for name, states in now.items():
                 if not np.array_equal(states, then[name]):
-                    return f"the model has other {name} then: the optimum may jump"
+                    return f"the optimum may jump, as the model then has other {name}"
         return ""
 
     def _side(self, change: Change, sign: float) -> tuple[float | None, str]:
@@ -627,7 +627,7 @@ class WhatIf(Report):
         before = (near.objective - self.optimum.objective) / step
         room = _AGREES * (1.0 + abs(slope)) + bend
         if abs(between - (slopes[0] + slopes[1]) / 2.0) > room or abs(before - slope) > room:
-            return None, f"{side}: the formula disagrees with nearby optima"
+            return None, f"{side}: the derivative disagrees with optima nearby"
         return float(slope), ""
 
     def breakpoints(self, number: Number | Change) -> tuple[float, float]:

@@ -141,11 +141,11 @@ class PricingProblem(ABC):
 
     @property
     def covered(self) -> float:
-        """Price of failure up to which one pricing call covers all lower prices; 0: none."""
+        """Price of failure below which one pricing call covers all prices; 0: none."""
         return 0.0
 
     def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
-        """Return the columns next to the budget that pricing a column found at other prices."""
+        """Return columns found at other prices while a column was priced, next to the budget."""
         return ()
 
     def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:

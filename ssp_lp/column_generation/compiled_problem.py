@@ -396,7 +396,7 @@ class _CompiledLayered(CompiledProblem):
 
 
 _UNPROVED = 1e-10
-"""Relative gap at least failure above which pairs are compared in twice the working precision."""
+"""Relative gap with least failure above which pairs are compared in twice the working precision."""
 
 _FIRST_LAYERS = 2.5
 """First cap, as a multiple of the first tail policy's cost given success."""
@@ -515,7 +515,7 @@ class CompiledAccumulatedCost(_CompiledLayered):
     def least_failure(self) -> LeastFailure:
         """Return the policy of greatest goal probability, then of least E[cost; goal].
 
-        At least failure the accumulated cost is not needed: a transition to x' is priced
+        For least failure the accumulated cost is not needed: a transition to x' is priced
         ``g * Pmax(x')`` (mathematics, section 4).
         """
         safest, values = self.safest_policy, self.safest_policy.values

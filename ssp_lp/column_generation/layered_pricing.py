@@ -89,7 +89,7 @@ class LayeredPricing(PricingProblem):
 
     @property
     def covered(self) -> float:
-        """Total of the last layer: one sweep prices all failure prices up to it; 0: it does not."""
+        """Price of failure up to which one sweep covers all prices: the last total; 0: none."""
         return float(self._paid[-1]) if self.is_shifted else 0.0
 
     @cached_property
@@ -126,7 +126,7 @@ class LayeredPricing(PricingProblem):
         return replace(column, choice=None, policy=policy, swept=swept)
 
     def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
-        """Return the columns of lower prices, next to the budget, that the column's sweep found.
+        """Return columns at lower prices, next to the budget, found by the column's sweep.
 
         One sweep solves the pricing problem at its price minus the total of each layer. The best
         dual bound among these prices lies next to the optimal price.
@@ -505,7 +505,7 @@ class OpenEndedPricing(PricingProblem):
 
 
 def open_sweep(table: OpenEnded, rows: Sequence[FloatArray], *, by_goal: bool) -> Sweep:
-    """Return the sweeps over an open-ended table for failure, or minus the goal, and rows.
+    """Return the sweeps over an open-ended table that count failure (or minus the goal) and rows.
 
     Args:
         table: the layers.

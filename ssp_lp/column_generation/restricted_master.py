@@ -218,7 +218,7 @@ class _ExactSimplex:
         return _solved([self.entries[j] for j in basis], [self.cost[j] for j in basis])
 
     def solved(self, basis: Sequence[int]) -> list[int] | None:
-        """Return an optimal basis; None: none exists, or the first is feasible on no side."""
+        """Return an optimal basis; None: none exists, or the first is infeasible on both sides."""
         basis = list(basis)
         for _ in range(_MOST_STEPS):
             try:

@@ -580,8 +580,8 @@ def without_negligible_prices(
 
     Args:
         prices: [rows].
-        sizes: size of each row, [rows]. Prices that prove a bound need the most that policies take
-            of the row: the bound of the row is too small for a policy that takes more.
+        sizes: size of each row, [rows]. For prices that prove a bound, the size is the most that a
+            policy takes of the row, which may exceed the row's bound.
         objective: to compare price times size with.
         trifle: share of the objective that is negligible.
     """

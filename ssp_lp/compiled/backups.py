@@ -22,7 +22,7 @@ def back_up(
     slope: Array, factor: float, values: Array, held: Array, minima: Array,
     choice: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Compute the least value of each state, the first pair that attains it, the held pair's."""
+    """Compute each state's least value, the first pair that attains it, the held pair's value."""
     keeps = held.size > 0
     for s in prange(offsets.size - 1):
         least, pick, kept = np.inf, offsets[s], np.inf

@@ -108,7 +108,7 @@ class Deadline:
             self.prepared = prepare()
 
     def look(self) -> None:
-        """Raise Stop in the calling loop if the deadline has passed; find an incumbent before.
+        """Find an incumbent if one is due; raise Stop if the deadline has passed.
 
         Raises:
             Stop: the deadline has passed, with its grace, or Ctrl-C was pressed.

@@ -272,7 +272,7 @@ class PartitionedModel:
         def made() -> Formulation:
             """Return the problem, or raise its error."""
             if problem is None:
-                raise error or ModelError("the question cannot be stated")
+                raise error or ModelError("the problem cannot be built from these arguments")
             return problem
 
         stated = self.ranks.agreed(made)

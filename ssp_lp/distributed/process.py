@@ -356,14 +356,14 @@ class PartitionedProcess(PricingProblem):
         return np.where(lost, self._exits, choice).astype(np.int32)
 
     def _staying(self, choice: IntArray) -> IntArray:
-        """Keep giving up by staying only at nodes that lead to such nodes alone, [own nodes]."""
+        """Replace giving up by staying at nodes from which a run may go on, [own nodes]."""
         quits = (choice == self._exits) & (self.stays >= 0)
         if not self.ranks.any(quits):
             return choice
         rows = chosen_rows(self.dynamics.transitions, np.where(quits, self.stays, choice))
 
         def sweep(mask: BoolArray) -> BoolArray:
-            """Keep the nodes that lead to kept nodes alone; others have equal values by moving."""
+            """Keep the marked nodes whose successors are all marked; others may move as well."""
             return np.asarray(mask[: len(quits)] & (rows @ ~mask == 0.0))
 
         kept = self.halo.settled(sweep, self.halo.filled(quits))[: len(quits)]
@@ -586,7 +586,7 @@ class CompiledPartitioned(CompiledExplicit):
         return LeastFailure(pricing.policy(column), column, 0.0, proved)
 
     def failure_at_least(self, discount: float | None) -> float:
-        """Return the least failure of all policies, for an error."""
+        """Return the least failure probability of all policies, to report it in an error."""
         other = CompiledPartitioned(self.model, self.start, self.semantics, discount)
         return other.least_failure().column.failure
 

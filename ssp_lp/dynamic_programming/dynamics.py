@@ -1,6 +1,6 @@
 """Dynamics of substochastic processes: transitions, exits and their graph, without costs.
 
-Also policies that leave a process, as only these have finite totals.
+The module also finds policies that leave a process, as only these have finite totals.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ class Dynamics:
                     choice.view(np.uint32), values,
                 )  # fmt: skip
             most = max(most, changed)
-            if changed <= SETTLED * most and sweep > 1:  # one direction alone may change none
+            if changed <= SETTLED * most and sweep > 1:  # one direction may change nothing
                 return sweep
         return most_sweeps
 

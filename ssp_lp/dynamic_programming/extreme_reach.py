@@ -57,7 +57,7 @@ _ALIKE = 100.0  # loss of a step, in floors, that is allowed: far above the erro
 
 @dataclass(frozen=True, eq=False)
 class ExtremeReach:
-    """The greatest or least probability of hitting, and a policy that attains it."""
+    """The extreme probability of leaving by the exit ``hit``, and a policy that attains it."""
 
     dynamics: Dynamics
     both: FloatArray  # [pairs, 2] probability of leaving by the wanted exit, and by the other
@@ -77,17 +77,17 @@ def extreme_reach(
     start: FloatArray | None = None,
     last_digits: bool = True,
 ) -> ExtremeReach:
-    """Compute the greatest or least probability of hitting, from every state of a process.
+    """Compute the greatest or least probability of leaving by the exit ``hit``, from every state.
 
     No policy may be able to stay for ever (end components are collapsed, or there are none).
 
     Args:
         dynamics: the process.
-        hit: probability of leaving it by hitting, [pairs].
-        miss: probability of leaving it otherwise, [pairs].
+        hit: probability of leaving the process by this exit, [pairs].
+        miss: probability of leaving it by the other exit, [pairs].
         greatest: whether to maximise; else the probability is minimised.
         start: positive in the states in which the bound must be tight, [states]; None: all.
-        last_digits: whether all pairs that attain it are needed as well. Otherwise sweeps may
+        last_digits: whether all pairs that attain the extreme are needed. Otherwise sweeps may
             enclose the greatest probability from both sides, and if the time ends the result is
             that of the policy found so far.
 
@@ -288,7 +288,7 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
         dynamics.moves.precise_advantages(*map(np.ascontiguousarray, parts))[0]
         for parts in zip(both.T, totals.values.T, totals.low.T, strict=True)
     )
-    ahead = np.where((high < lost)[home], gain, -loss)  # each is exact if it is small
+    ahead = np.where((high < lost)[home], gain, -loss)  # each difference is exact if small
     size = np.minimum(high, lost)[home]  # the smaller one is accurate relative to its size
     slack = MAXIMISER * size if found.floor == 0.0 else _ALIKE * found.floor * high[home]
     slack = np.where(slack > 0.0, slack, MAXIMISER * lost[home])
@@ -312,7 +312,7 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
             worst = iterate_policy(among, both[kept], _WANTED, worst.choice)
         taken = kept[worst.choice]
         less, more = worst.totals.T
-        loss = np.where(high < lost, high - less, more - lost)  # each is exact where it is small
+        loss = np.where(high < lost, high - less, more - lost)  # each difference is exact if small
         if (loss <= 10.0 * slack[taken]).all():
             break
         share = np.maximum(-ahead[taken], 0.0) * 2.0 * worst.runs

@@ -256,7 +256,7 @@ class _Evaluation:
         self._above: FloatArray | None = None  # values of the last policy, if exact
 
     def leaving(self, choice: IntArray, before: IntArray | None) -> tuple[System, IntArray]:
-        """Return an improved policy's chain, checked to leave (few states show it in totals)."""
+        """Return an improved policy's chain, checked to leave (if states are few, by totals)."""
         if self.dynamics.n_states <= self.dynamics.few:
             return self.dynamics.chain(choice), choice
         return leaving_chain(self.dynamics, choice, before)

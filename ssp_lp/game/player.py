@@ -781,9 +781,9 @@ class BayesPlayer(Player):
         )
 
     def _beyond(self, totals: Totals, weights: FloatArray) -> FloatArray:
-        """Bound every policy's weighted cost from the horizon on from below, [nodes, totals].
+        """Bound the weighted cost of every policy beyond the horizon from below, [nodes, totals].
 
-        Discounting the objective as well can only lower it, so that the stationary game is a bound.
+        The stationary game gives such a bound, as discounting the objective can only lower it.
 
         Args:
             totals: the totals.

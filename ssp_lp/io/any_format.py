@@ -131,7 +131,7 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
 
 
 def _ending_of(file: Path, endings: Sequence[str]) -> str:
-    """Return the ending of a file's name, of the known ones."""
+    """Return the known ending that a file's name has."""
     for ending in endings:
         if file.name.endswith(ending):
             return ending

@@ -149,7 +149,7 @@ def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, A
             archive = opened.enter_context(np.load(stream, allow_pickle=False))
             header = _header_of(archive, path, kind)
         except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damage
-            raise ModelError(f"{path} is no ssp-lp {kind} file: {error}") from error
+            raise ModelError(f"{path} is not an ssp-lp {kind} file: {error}") from error
         try:
             yield header, _Arrays(archive)
         except ModelError as error:
@@ -296,7 +296,7 @@ def load_model(path: FilePath) -> SSP:
             for name in ("states", "actions")
         )
         if states is not None and len(states) != n_states:
-            raise ModelError("the names of states are not one for each")
+            raise ModelError("the names of states must be one for each")
         if actions is not None:
             actions = _named_in_archive(actions, arrays["pair_action"], "actions")
         known = range(n_states) if states is None else states
@@ -305,7 +305,7 @@ def load_model(path: FilePath) -> SSP:
         marked = [members[begin:end] for begin, end in pairwise(labels.tolist())]
         for _, text in header["exact_costs"]:
             if not _FRACTION.fullmatch(text):  # checks the number of digits first
-                raise ModelError(f"the exact cost {text[:60]!r} is no fraction")
+                raise ModelError(f"the exact cost {text[:60]!r} is not a fraction")
         names = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "goal_states")
         plain: dict[str, Any] = {name: arrays[name] for name in names}
         model = SSP.from_arrays(

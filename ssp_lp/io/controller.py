@@ -79,9 +79,9 @@ class Controller:
             with open(path, encoding="utf-8") as file:
                 content = json.load(file)
         except (TypeError, ValueError, RecursionError) as error:
-            raise ValueError(f"{path!r} is no ssp-lp controller file: {error}") from error
+            raise ValueError(f"{path!r} is not an ssp-lp controller file: {error}") from error
         if not isinstance(content, dict) or content.get("format") != "ssp-lp controller":
-            raise ValueError(f"{path} is no ssp-lp controller file")
+            raise ValueError(f"{path} is not an ssp-lp controller file")
         if content.get("version") != _VERSION:
             raise ValueError(f"{path} has version {content.get('version')!r}, not {_VERSION}")
         if content.get("checksum") != controller_checksum(content):
@@ -133,8 +133,8 @@ class Controller:
     def action(self, state: Hashable) -> Hashable:
         """Return the action in this state; "give up" or None once the episode is over.
 
-        It is over after giving up, or at a goal or a dead-end, unless the policy has decisions
-        then; ``failed`` is True once the goal is given up.
+        The episode is over after giving up, or at a goal or a dead-end, unless the policy has
+        decisions there; ``failed`` is True once the goal is given up.
 
         Raises:
             ValueError: unknown state or another than the observed one, or a state in which the
@@ -144,7 +144,7 @@ class Controller:
         _, here = self._current(), self._state(state)
         begun = self._memory is not None
         if begun and self._is_model and not self._is_over and here != self._step[0]:
-            raise ValueError(f"the episode is not in state {state!r}, but in the observed one")
+            raise ValueError(f"the episode is in the observed state, not in state {state!r}")
         if not self._is_over and self._ends_in(here):
             self._is_over, self._answer, self._step = True, None, (here, -1)
         if self._is_over:
@@ -321,7 +321,7 @@ def _controller_after(
         return _controller_layer(memory, number + passed, successor)
     steps = round(min(paid, 2.0 * _FAR))
     if steps > _FAR or abs(paid - steps) > _OFF_LATTICE:
-        raise ValueError(f"observed cost {cost!r} is no whole number of units {memory['unit']!r}")
+        raise ValueError(f"observed cost {cost!r} is not a multiple of the unit {memory['unit']!r}")
     return _controller_layer(memory, number + steps, successor)
 
 

@@ -92,7 +92,7 @@ def controller_member(policy: Policy) -> dict[str, Any]:
 
 
 def _positions(model: SSP, codes: Mapping[Hashable, int], pairs: IntArray) -> IntArray:
-    """Return the action numbers of some exported pairs, without changing codes."""
+    """Return the action numbers of exported pairs; negative codes are not changed."""
     action = np.array([codes[name] for name in model.action_names] or [0])
     action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
     return np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)])

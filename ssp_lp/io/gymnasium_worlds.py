@@ -167,7 +167,7 @@ def from_gymnasium(
     survive: bool = False,
     dead_ends: StateSet | None = None,
 ) -> GymnasiumWorld:
-    """Build the model of a tabular environment from its table, or of another one on a grid.
+    """Build the model of an environment from its table of transitions or, without one, on a grid.
 
     States in which the environment terminates are goals if every step into them is rewarded, and
     dead-ends if none is. A state in which it terminates after one step and goes on after another
@@ -188,7 +188,7 @@ def from_gymnasium(
             a grid it is a point, or ``{point: probability}``.
         grid: for an environment whose state is an array of coordinates (MountainCar, CartPole): a
             box of the coordinates and its cells. ``goal`` is then a predicate on the points in
-            which it terminates, or a set of cells of the grid, and the step limit is no horizon
+            which it terminates, or a set of cells of the grid, and the step limit is not a horizon
             unless it is given as a number.
         survive: whether an episode that still goes on at the horizon has reached the goal.
         dead_ends: the other states in which it terminates, or a predicate on states; any further
@@ -219,7 +219,7 @@ def from_gymnasium(
     model: SSP
     begin: Mapping[Hashable, float]
     continuous, steps = None, horizon
-    if isinstance(steps, str):  # the environment's own, which is no horizon of a grid
+    if isinstance(steps, str):  # the environment's own, which is not a horizon of a grid
         steps = limit if grid is None else None
     if grid is None:
         table, begin = _table_of(env), _start_of(env, start)
@@ -488,7 +488,7 @@ def _model_of_table(
         cost: cost of a step.
 
     Raises:
-        ModelError: goals that do not follow from rewards, or a cost that is no number >= 0.
+        ModelError: goals that do not follow from rewards, or a cost that is not a number >= 0.
     """
     n_states = len(table.states)
     listed = np.arange(n_states) < table.listed
@@ -747,7 +747,7 @@ class _Player:
         return int(member.remember(memory, pair, state, cost)[0])
 
 
-_SEEN = "observed in the environment, of which the policy's model may not be"
+_SEEN = "observed in the environment: the policy's model may be of another one"
 
 
 def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _Episode:

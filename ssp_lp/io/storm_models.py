@@ -209,7 +209,7 @@ def _differs_between_outcomes(program: Any, cost: str) -> bool:
     """Return whether a JANI program assigns a variable differently at destinations of an edge."""
 
     def paid(destination: Any) -> float | str:
-        """Return the value assigned at a destination; as text if it is no number."""
+        """Return the value assigned at a destination; as text if it is not a number."""
         for each in destination.assignments:
             if each.variable.name == cost:
                 value = each.expression
@@ -241,7 +241,7 @@ def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
 def from_stormpy(
     model: Any, *, goal: str, cost: str | None = None, dead_ends: DeadEnds | None = None
 ) -> ModelFile:
-    """Make a model of a sparse model of Storm's, a Markov decision process or Markov chain.
+    """Convert a sparse model of Storm, a Markov decision process or Markov chain, to an SSP.
 
     The cost of an outcome is the sum of Storm's rewards of its state, its action and its
     transition, added as decimals. Actions have the labels of choices, states the values of their
@@ -280,7 +280,7 @@ def _model_of_storm(
     dead_ends: DeadEnds | None,
     program: Any = None,
 ) -> ModelFile:
-    """Make a model of Storm's whose goals are the states with a label, or those of a formula.
+    """Convert a model of Storm to an SSP whose goals satisfy a label or a formula.
 
     Args:
         model: model of stormpy.

@@ -32,10 +32,10 @@ asker = os.getppid()
 def watch():
     while os.getppid() == asker:
         time.sleep(1.0)
-    os._exit(1)  # nobody is left to be told
+    os._exit(1)  # the calling process has ended
 threading.Thread(target=watch, daemon=True).start()
 told = os.fdopen(os.dup(1), "wb")
-os.dup2(2, 1)  # what a solver prints is no answer
+os.dup2(2, 1)  # keep a solver's output out of the answer
 sys.path[:] = pickle.load(sys.stdin.buffer)
 from ssp_lp.linear_programming.backends import serve_backend
 serve_backend(sys.stdin.buffer, told)

@@ -45,7 +45,7 @@ from ssp_lp.solution import Solution
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A problem to solve, or whose solution to prove."""
+    """A problem to solve, or a solution to prove."""
 
     problem: Problem
     seconds: float = np.inf  # time left

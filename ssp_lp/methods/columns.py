@@ -78,7 +78,7 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def cheapest_at_least_failure(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve at least failure, in two stages: the cheapest policy of greatest goal probability.
+    """Solve for the cheapest policy of greatest goal probability, in two stages.
 
     Raises:
         InfeasibleError: case S, and the goal cannot be reached.
@@ -173,7 +173,7 @@ _SURELY = 1.0 - 1e-9  # share of the budget: a lower failure proves that the lea
 
 
 def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """Prove a lower bound at least failure, by finite prices of failure.
+    """Prove a lower bound of the cost of policies of least failure, by finite prices of failure.
 
     Such a bound holds for every policy. If rounding leaves a gap at these prices, the bound of the
     second stage is used, over the pairs that were found to attain the greatest goal probability.

@@ -118,7 +118,7 @@ def best_deterministic(
     if mixed.note:
         remarks.append(mixed.note)
     if not finished and "stopped" not in mixed.note:
-        remarks.append("stopped before the search was finished; the gap is honest")
+        remarks.append("stopped before the search was finished; the gap is still certified")
     if finished and gap > max(_OPEN, 2.0 * tolerance):
         remarks.append("the gap bounds the gain of policies outside the search")
     is_slack = (

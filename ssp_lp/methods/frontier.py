@@ -141,7 +141,7 @@ def trace_frontier(
 
     Raises:
         ModelError: an argument out of range, a problem without a failure budget, an unknown limit,
-            or a criterion that is no linear program.
+            or a criterion that is not a linear program.
         InfeasibleError: case S, and the goal cannot be reached from the start; or no policy
             satisfies the other limits.
         OutOfTimeError: the time limit was reached before the first point.
@@ -201,7 +201,7 @@ def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
             raise ModelError(f"limit {over!r} bounds from below: state it as an upper limit, such "
                              "as 1 - end_probability(...) <= 0.1, to trace it")  # fmt: skip
     if asked.is_risk:
-        raise ModelError(f"{name} is no linear program: trace the limit with another criterion")
+        raise ModelError(f"{name} is not a linear program: trace the limit with another criterion")
     if limits.steepest_price is not None:
         raise ModelError(Argument("steepest_price"), " is for the failure budget alone")
     return problem
@@ -307,10 +307,10 @@ class Frontier(Report):
     def bounds_at(self, budget: float) -> tuple[float, float]:
         """Return certified lower and upper bounds of the optimum at a bound, such as a budget.
 
-        One of them is the value of :meth:`policy_at`. Over the failure budget alone the other is
-        proved at the price of the segment and, if the segment is not settled, at the prices of its
-        ends: one to three pricing calls, cached for all budgets. Otherwise the prices of all optima
-        prove it.
+        One bound is the value of :meth:`policy_at`. If only the failure budget is traced, the other
+        bound is proved at the price of the segment and, if the segment is not settled, at the
+        prices of its ends: one to three pricing calls, cached for all budgets. Otherwise it is
+        proved at the prices of all optima.
 
         Raises:
             InfeasibleError: the budget is below the least feasible one.
@@ -547,7 +547,7 @@ class _OptimumPoints:
     def proved(
         self, frontier: Frontier, number: int, weight: float, budget: float, attained: float
     ) -> float:
-        """Return a proved bound of all policies within a bound of the traced quantity."""
+        """Return a certified bound of the objective of all policies within a traced bound."""
         proved = self.sense.worth(self.least(budget))
         return max(proved, attained) if frontier.maximises else min(proved, attained)
 
@@ -629,7 +629,7 @@ class _Columns:
             safest, self.calls = self.pricing.minimise(steepest, self.pricing.first()), 1
             if row.ratio and row.objective(safest.cost, safest.goal) >= steepest:
                 raise ModelError(
-                    f"at the price {steepest:g} of failure failing is optimal: "
+                    f"failing is optimal at a price of failure of {steepest:g}: "
                     "set steepest_price above the least cost given success"
                 )
         master = master_at(self.pricing, row, safest, calls=self.calls, work=safest.work)
@@ -692,7 +692,7 @@ class _Columns:
 
 
 def _share_below(p: Column, q: Column, column: Column | None, price: float) -> float:
-    """Return the distance of a column below a segment, relative to the cost at p; else 0."""
+    """Return the distance of a column below segment pq, relative to the cost at p, or 0."""
     if column is None or not p.failure < column.failure < q.failure:
         return 0.0
     below = p.cost - column.cost - price * (column.failure - p.failure)
@@ -832,7 +832,7 @@ class _Optima:
         return tuple(o for o in self.points if p.spent <= o.spent <= q.spent)
 
     def lines(self, *turning: _Optimum) -> _OptimumPoints:
-        """Return the turning points with the lines that all optima prove."""
+        """Return the turning points, and the linear bounds that the prices of all optima prove."""
         told = [(o.bound, o.value, o.proved, o.price) for o in self.optima]
         bounds, value, proved, prices = np.array(told).T
         policies, goal = tuple(o.policy for o in turning), None

@@ -72,8 +72,8 @@ class Incumbent:
         if not self.stated.requirements.counts_totals:
             return None
         problem = self.stated.unrolled
-        for at_least_failure in (False, True):  # the cheapest policy may be one that only fails
-            with WithIncumbent(), suppress(SSPError):  # the search itself will raise it
+        for at_least_failure in (False, True):  # the cheapest policy may fail always
+            with WithIncumbent(), suppress(SSPError):  # the search raises it again
                 if at_least_failure not in self.policies:
                     policy = self._cheapest_policy(problem, at_least_failure=at_least_failure)
                     self.policies[at_least_failure] = policy

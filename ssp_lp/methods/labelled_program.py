@@ -31,7 +31,7 @@ def program_of(
 ) -> OccupationProgram:
     """Return the labelled program of a problem: a linear program over expected visits.
 
-    At least failure (``failure_budget=None``) it is the program of the second stage: over the
+    With least failure (``failure_budget=None``) it is the program of the second stage: over the
     actions that attain the greatest goal probability, without a failure row (mathematics, section
     4). In case S the layers of accumulated cost end where column generation proves the optimum,
     or at the problem's ``cost_cap``. One last layer stands for all larger costs, and an arrival
@@ -48,13 +48,13 @@ def program_of(
         The labelled program, for any solver.
 
     Raises:
-        ModelError: the criterion is no linear program (a quantile or a tail mean of the cost), or
+        ModelError: the criterion is not a linear program (a quantile or a tail mean of cost), or
         the costs have too many sums for an exact program.
         InfeasibleError: the budget is below the least failure.
     """
     if problem.requirements.is_risk:
         raise ModelError(
-            f"{type(problem).__name__} is no linear program but a search over many: "
+            f"{type(problem).__name__} is not a linear program but a search over many: "
             "use CostBoundedReach(...).program() for one fixed cost"
         )
     problem = problem if start is None else replace(cast("Any", problem), start=start)
@@ -112,9 +112,9 @@ def program_of(
 
 
 def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
-    """Return case S at least failure: the cost of a step times the goal probability after it.
+    """Return case S with least failure: a step costs its cost times the goal probability after it.
 
-    All policies have the greatest goal probability there, so that no accumulated cost is needed.
+    All its policies have the greatest goal probability, so no accumulated cost is needed.
     """
     model, start, usable = compiled.model, compiled.start, compiled.greatest.usable
     labelled = label_failure(model, start, compiled.semantics, compiled.discount, usable)

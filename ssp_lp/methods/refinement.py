@@ -24,7 +24,7 @@ class Proved:
     allowed: float  # largest failure of the policies that the bound is about
     reason: str = ""  # why there is no proof
     tail: float = 0.0  # case S: the part of the relative gap that is due to the cap
-    least_failure_bound: float | None = None  # at least failure: lower bound of all failures
+    least_failure_bound: float | None = None  # with least failure: lower bound of all failures
 
     @property
     def gap(self) -> float:

@@ -177,7 +177,7 @@ class _Sums:
         """Compute all sums below a cap that a threshold may take."""
         sums = sums_in(self._model, cap, MOST_SUMS)
         if sums is None:
-            raise ModelError(f"too many distinct total costs (over {MOST_SUMS:,} below {cap:g})")
+            raise ModelError(f"over {MOST_SUMS:,} distinct total costs below {cap:g}: round costs")
         every = np.unique((sums[:, None] + self._last).ravel())
         every = every[every < cap]
         room = room_of(np.union1d(self._steps, self._last), cap)
@@ -260,7 +260,7 @@ class _Question(ABC):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _WithinBudget(_Question):
-    """Policies with a limit on failure alone. At least failure the price has no effect."""
+    """Policies with a limit on failure alone. With least failure, the price has no effect."""
 
     compiled: CompiledArrivalCost
 
@@ -285,8 +285,8 @@ class _WithinBudget(_Question):
     def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
         """Return the lower bounds of all shares by one sweep, if layers are multiples of a unit.
 
-        The optimal policy depends only on the rest of the bound: beginning in the layer of the
-        difference of two bounds is beginning with the smaller one.
+        The optimal policy depends only on the rest of the bound: a run with the smaller of two
+        bounds equals a run with the larger one that begins in the layer of their difference.
         """
         if self.compiled.by_sums:
             return super().late_shares(number, guess)

@@ -143,7 +143,7 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def _may_be_rarer(stated: CompiledExplicit, optimum: _RowsOptimum, options: SolveOptions) -> bool:
-    """Return whether a policy of rare success, counted by goal, improves the optimum.
+    """Return whether the optimum improves if rare success is counted by the goal's probability.
 
     The search uses slightly tighter rows, so that no success comes from the tolerance of a row.
     """
@@ -319,7 +319,7 @@ def _of_rows(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return bounds that were raised to the attainable value, and prices of all rows, by name.
 
-    Rows without a limit have price 0. At least failure there is no price of failure.
+    Rows without a limit have price 0. With least failure there is no price of failure.
     """
     granted = {
         compiled.names[place]: float(bound)
@@ -891,7 +891,7 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
     budget, claims = max(stated.budget or 0.0, least), (evaluation.objective, solution.lower_bound)
-    own_values = None if solution.method == Game.name else values  # a game has other layers
+    own_values = None if solution.method == Game.name else values  # the game's layers differ
     pricing = compiled.pricing()
 
     def prove(weights: FloatArray) -> Proof:

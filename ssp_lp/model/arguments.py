@@ -157,7 +157,7 @@ def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
 def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | None:
     """Return an error text for a value that misfits its annotation: which part, and the remedy.
 
-    Of a table or a list at most ``most`` entries are examined.
+    At most ``most`` entries of a table or a list are examined.
     """
     kind, parts = get_origin(hint) or hint, get_args(hint)
     wrong = f"{place} must be {_in_words(hint)}, not {in_short(value)}"

@@ -174,7 +174,7 @@ class Boxes(Report, ReadOnlyCopies):
 
 
 def counts_of(model: SSP) -> FloatArray:
-    """Return the counts of a model's outcomes, [outcomes]; :class:`ModelError` without counts."""
+    """Return the number of observations of each outcome, [outcomes], or raise ModelError."""
     if model.counts is None:
         raise ModelError("the model has no counts: build it by SSP.from_counts(table, goal)")
     return model.counts

@@ -416,10 +416,10 @@ class ContinuousModel:
         """
         names = ("goal", *self.dead_ends)
         if isinstance(end, str) and end not in names:
-            raise ModelError(f"{end!r} is no end; there are {', '.join(names)}")
+            raise ModelError(f"{end!r} is not an end; there are {', '.join(names)}")
         number = names.index(end) + 1 if isinstance(end, str) else int(end)
         if not 1 <= number <= len(names):
-            raise ModelError(f"{end!r} is no end; there are 1 .. {len(names)}")
+            raise ModelError(f"{end!r} is not an end; there are 1 .. {len(names)}")
         return self.grid.n_cells + number - 1
 
 

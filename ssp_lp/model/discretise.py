@@ -226,7 +226,7 @@ def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArr
 
 
 def _joined(parts: list[Outcomes]) -> Outcomes:
-    """Return the discretised outcomes of several blocks of pairs; equal costs stay a number."""
+    """Concatenate outcomes of several blocks of pairs; costs that are all equal stay one number."""
     costs = [rows.costs for rows in parts] or [np.asarray(0.0)]
     if any(each.ndim or each != costs[0] for each in costs):
         costs = [np.broadcast_to(rows.costs, rows.successors.shape) for rows in parts]
@@ -431,7 +431,7 @@ def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, 
     if int(kinds.max()) > _SPREAD * len(kinds):
         kinds = np.unique(kinds, return_inverse=True)[1]
     first = np.full(int(kinds.max()) + 1, -1, dtype=pairs.dtype)
-    first[kinds[::-1]] = np.arange(len(kinds), dtype=pairs.dtype)[::-1]  # each kind's first is last
+    first[kinds[::-1]] = np.arange(len(kinds), dtype=pairs.dtype)[::-1]  # first pairs win
     distinct = np.sort(first[first >= 0])
     place = np.empty(len(kinds), dtype=pairs.dtype)
     place[distinct] = np.arange(len(distinct), dtype=pairs.dtype)

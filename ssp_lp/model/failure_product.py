@@ -54,7 +54,7 @@ class FailureSSP(ProductSSP):
 
     @property
     def failure_label(self) -> FailureSSP:
-        """The product with the label of failing, alone: its states bear the label."""
+        """The product itself, as its states bear the label of failing."""
         return self
 
     @property
@@ -91,7 +91,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def stop_marks(self) -> IntArray:
-        """Number of the way to end of a run that stops in a state of the failure product, [states].
+        """Number of the end that a run has if it stops in a state of the product, [states].
 
         A dead-end's own number, otherwise that of having given up (``graph.end_marks``).
         """
@@ -100,12 +100,12 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def end_marks(self) -> IntArray:
-        """Number of the way to end in the failure product's states, -1: none, [states]."""
+        """Number of the end that a run has in each state of the product, -1: none, [states]."""
         return np.where(self.goal_mask, 0, np.where(self.ended, self.stop_marks, -1))
 
     @cached_property
     def priced(self) -> BoolArray:
-        """Pairs of the failure product of which giving up costs the least one, [pairs]."""
+        """Pairs of the failure product among which giving up costs the cheapest, [pairs]."""
         before = ~np.append(self.is_open, np.ones(self.n_original, dtype=np.bool_))
         return self.fails | (before[self.pair_state] & self.charged[self.original_pair])
 

@@ -267,7 +267,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 
 
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
-    """Return the model's graph for scipy's search of reachable states, with weights of no size."""
+    """Return the model's graph for scipy's graph searches; its weights take no memory."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape, offsets = (len(offsets) - 1, len(offsets) - 1), narrow(offsets)
     return csr_of(weights, columns.astype(offsets.dtype, copy=False), offsets, shape)
@@ -297,7 +297,7 @@ def nearer_pairs(
 ) -> IntArray:
     """Return the pair of each state that may lead nearer to a leaving pair in the graph.
 
-    A state with a leaving pair takes that. Of pairs that lead equally near, the first is taken.
+    A state with a leaving pair takes that pair; among pairs that lead equally near, the first one.
 
     Args:
         graph: of a model, or of a process.
@@ -356,7 +356,7 @@ def drain(
         if closed_states.size < _FEW and entries < _FEW_ENTRIES:
             closed_states = _drain_one_by_one(model, open_pairs, open_counts, closed_states)
             continue
-        if _FEW * entries > model.n_outcomes:  # looking at all of them is faster
+        if _FEW * entries > model.n_outcomes:  # a pass over all pairs is faster
             closed = np.zeros(model.n_states, dtype=np.bool_)
             closed[closed_states] = True
             pairs: IntArray = (open_pairs & pairs_into(model, closed)).nonzero()[0]
@@ -401,7 +401,7 @@ def close_pairs(
 
 
 def end_marks(model: SSP) -> IntArray:
-    """Return the number of each state's way to end by the graph, -1 if a run goes on, [states].
+    """Return the number of the end that a run has in each state, -1 if it goes on, [states].
 
     0 is the goal, 1 .. k the model's labels in their order (at dead-ends that bear them; the
     first label counts), k + 1 a dead-end without a label; k + 2 having given up before.
@@ -417,7 +417,7 @@ def end_marks(model: SSP) -> IntArray:
 
 
 def stop_marks(model: SSP) -> IntArray:
-    """Return the number of the way to end of a run that stops in each state, [states].
+    """Return the number of the end that a run has if it stops in each state, [states].
 
     Numbers as in :func:`end_marks`; k + 2 is having given up.
     """

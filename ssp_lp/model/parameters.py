@@ -30,7 +30,7 @@ class Affine:
         """Return the sum.
 
         Raises:
-            ModelError: one parameter has two values, or the other summand is no number.
+            ModelError: one parameter has two values, or the other summand is not a number.
         """
         if not isinstance(other, Affine):
             return Affine(self.constant + _factor(other), self.slopes, self.values)
@@ -97,7 +97,7 @@ class Parameter(Affine):
         value: its value.
 
     Raises:
-        ModelError: the name is no identifier, or the value is no number.
+        ModelError: the name is not an identifier, or the value is not a number.
 
     Example:
         >>> from ssp_lp import SSP, Parameter
@@ -114,7 +114,7 @@ class Parameter(Affine):
         if not (isinstance(name, str) and name.isidentifier()):
             raise ModelError(f"a parameter's name must be a word such as 'p_crash', not {name!r}")
         if isinstance(value, bool) or not is_number(value):
-            raise ModelError(f"the value of parameter {name!r} is no number: {in_short(value)}")
+            raise ModelError(f"the value of parameter {name!r} is not a number: {in_short(value)}")
         super().__init__(0.0, {name: 1.0}, {name: float(value)})
 
 

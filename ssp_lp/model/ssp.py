@@ -431,8 +431,8 @@ class SSP(Graph, ReadOnlyCopies):
             dead_ends: the states without rows that are not goals; any other one is then an error.
 
         Raises:
-            ModelError: as in :meth:`from_frame`, a count that is no whole number >= 0, or an action
-                that was never taken; the error names it.
+            ModelError: as in :meth:`from_frame`, a count that is not a whole number >= 0, or an
+                action that was never taken; the error names it.
 
         Example:
             >>> model = SSP.from_counts(
@@ -462,7 +462,7 @@ class SSP(Graph, ReadOnlyCopies):
             is_count = is_number(number) and not isinstance(number, bool)
             if not (is_count and number >= 0 and number == number // 1):
                 raise ModelError(f"row {row!r} of the table, ({needed}): the count "
-                                 f"{number!r} is no whole number >= 0")  # fmt: skip
+                                 f"{number!r} is not a whole number >= 0")  # fmt: skip
             actions = tally.setdefault(here, {})
             if here not in goals:  # rows of goals are ignored, as in from_transitions
                 actions.setdefault(name, Counter())[there, *paid] += int(number)
@@ -600,7 +600,7 @@ class SSP(Graph, ReadOnlyCopies):
             exact_costs=dict(exact_costs or {}),
         )
         strange = (target < 0) | (target >= n_states)
-        _refuse_outcomes(draft, strange, "has a successor that is no state")
+        _refuse_outcomes(draft, strange, "has a successor that is not a state")
         _check_numbers(draft, chance, "probability")
         _check_costs(draft, draft.costs)
         named = {name: _costs_of_outcomes(c, outcomes) for name, c in (named_costs or {}).items()}
@@ -633,7 +633,7 @@ class SSP(Graph, ReadOnlyCopies):
             values: by name; the other parameters keep their values.
 
         Raises:
-            ModelError: an unknown parameter, a value that is no number, or a probability or cost
+            ModelError: an unknown parameter, a value that is not a number, or a probability or cost
                 that is out of range for these values.
 
         Example: see :class:`ssp_lp.Parameter`.
@@ -784,7 +784,7 @@ class SSP(Graph, ReadOnlyCopies):
             return self.action_names[int(self.pair_action[pair])]
         except (IndexError, TypeError) as error:
             last = len(self.pair_action) - 1
-            raise ModelError(f"{pair!r} is no pair of the model: they are 0 .. {last}") from error
+            raise ModelError(f"{pair!r} is not a pair: they are 0 .. {last}") from error
 
     def pairs_of(self, state: int) -> range:
         """Return the model's pairs of a state."""
@@ -962,8 +962,8 @@ class FlatModel:
         """Append a state's actions and new successors to the model.
 
         Raises:
-            ModelError: no actions, an outcome that is no triple, an entry that is no number, or a
-                state that a closed model does not have.
+            ModelError: no actions, an outcome that is not a triple, an entry that is not a number,
+                or a state that a closed model does not have.
         """
         if not isinstance(actions, Mapping):
             raise ModelError(
@@ -1009,7 +1009,7 @@ class FlatModel:
             flat["actions"].append(action)
             flat["outcome_offsets"].append(len(successors))
         if any(len(paid) < len(costs) for paid in flat["named_costs"].values()):
-            raise ModelError(f"state {state!r} has costs without names; elsewhere they have some")
+            raise ModelError(f"state {state!r} has unnamed costs; elsewhere costs have names")
         if self._cost is not None and costs and not flat["named_costs"]:
             raise ModelError(f"the costs have no names: none is called {self._cost!r}")
         if goal:
@@ -1062,7 +1062,7 @@ class FlatModel:
         if not costs or named.keys() != costs.keys():
             told = "the costs " + ", ".join(map(repr, costs)) if costs else "no costs"
             others = ", ".join(map(repr, named)) or "none by name"
-            raise ModelError(f"{where} has {told}, others have {others}: name all everywhere")
+            raise ModelError(f"{where} has {told}, others have {others}: name them everywhere")
         if (self._cost is None and len(named) > 1) or self._cost not in (None, *named):
             known = ", ".join(map(repr, named))
             said = "" if self._cost is None else f", not {self._cost!r}"
@@ -1076,14 +1076,14 @@ def csv_columns(path: str | PathLike[str]) -> dict[str, list[str | None]]:
     """Return the columns of a model's CSV file by the names in its first row; None: empty cell.
 
     Raises:
-        ModelError: the file is no text, or has no rows.
+        ModelError: the file is not a text, or has no rows.
         OSError: it cannot be read.
     """
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             head, *rows = [row for row in csv.reader(file) if row] or [[]]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise ModelError(f"{path} is no CSV file: {error}") from error
+        raise ModelError(f"{path} is not a CSV file: {error}") from error
     if not rows:
         raise ModelError(f"{path} holds no table: a row of names, then a row for each outcome")
     columns = zip_longest(*([cell.strip() or None for cell in row] for row in rows))
@@ -1096,7 +1096,7 @@ def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> floa
         return cell if cell is None else Fraction(cell) if "/" in cell else float(cell)
     except (ValueError, ZeroDivisionError) as error:
         complaint = (
-            f"{path}, row {row}: {cell!r} in the column {name!r} is no number, such as 0.1 or 1/3"
+            f"{path}, row {row}: {cell!r} in column {name!r} is not a number, such as 0.1 or 1/3"
         )
         raise ModelError(complaint) from error
 
@@ -1164,7 +1164,7 @@ def _number(value: Any, what: str, state: Hashable, action: Hashable) -> float:
     if not isinstance(value, (str, bytes)):
         with suppress(TypeError, ValueError, OverflowError):
             return float(value)
-    complaint = f"action {action!r} of state {state!r} has a {what} that is no number"
+    complaint = f"action {action!r} of state {state!r} has a {what} that is not a number"
     raise ModelError(f"{complaint}: {in_short(value)}")
 
 
@@ -1233,7 +1233,7 @@ def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
 
 
 def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
-    """Return indices in a model as integers of their own type; :class:`ModelError` if none."""
+    """Return indices in a model in their own integer type; :class:`ModelError` for other types."""
     array = np.asarray(indices)
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise ModelError(f"{name} must be integers (indices)")
@@ -1363,7 +1363,7 @@ def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
     """Return the mask of a model's goal states from their indices, [states].
 
     Raises:
-        ModelError: no index, or one that is no index of a state.
+        ModelError: no index, or one that is not an index of a state.
     """
     goals = np.asarray(goal_states).reshape(-1)
     if goals.size and not np.issubdtype(goals.dtype, np.integer):

@@ -72,7 +72,7 @@ class _Reader:
         """Return the formula of the text.
 
         Raises:
-            ModelError: the text is no formula.
+            ModelError: the text is not a formula.
         """
         formula = self._binary(0)
         if self.tokens[self.place][0] != "end":
@@ -230,7 +230,7 @@ class Task:
         """The formula, with its negations at names.
 
         Raises:
-            ModelError: the text is no formula.
+            ModelError: the text is not a formula.
         """
         try:
             formula = _Reader(self.text).whole()
@@ -324,7 +324,7 @@ class Task:
             pending += new
             moves.append([number[each] for each in after])
             if len(number) > _MOST_VALUES:
-                raise ModelError(f"{self!r} distinguishes over {_MOST_VALUES:,} obligations")
+                raise ModelError(f"{self!r} needs a memory of over {_MOST_VALUES:,} values")
         last, by_state = np.unique(of_states, return_inverse=True)
         ends = [[_left(each, s, False) == _MET for s in self._read(last)] for each in number]
         automaton = Automaton(
@@ -357,7 +357,7 @@ def task(text: str) -> Task:
         text: the formula, such as ``"F key & (!door U key)"``.
 
     Raises:
-        ModelError: the text is no formula; a caret marks the error.
+        ModelError: the text is not a formula; a caret marks the error.
 
     Example:
         >>> task("F key & (!door U key)").names

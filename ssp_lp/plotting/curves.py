@@ -98,7 +98,7 @@ def plot_frontier(
     The line is the value of lotteries over neighbouring turning points. If tracing was cut short,
     the optimum lies in the hatched band below it, down to the proved bound
     (:meth:`Frontier.bounds_at`, up to two pricing calls for each turning point). In case S a
-    segment is no straight line: the objective is a ratio.
+    segment is not a straight line: the objective is a ratio.
 
     Args:
         frontier: result of ``trace_frontier``.
@@ -330,7 +330,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
     quantile, tail = law.quantile(level), law.tail_mean(level)
     costs, shares, width = _bars_of_law(law)
     body, rest = LOOKS[0], LOOKS[1]
-    dearer = 1.0 - np.cumsum(shares)  # what is not drawn counts
+    dearer = 1.0 - np.cumsum(shares)  # costs that are not drawn count
     hatched = np.clip(1.0 - level - dearer, 0.0, shares)
     some, left = hatched > 0.0, shares - hatched
     ax.bar(costs[left > 0.0], left[left > 0.0], width, facecolor=_PALE, edgecolor=body.colour)

@@ -40,7 +40,7 @@ def row_major(rows: int, columns: int) -> Callable[[int], Point]:
         columns: number of columns.
 
     Raises:
-        ModelError: a number that is no whole number >= 1.
+        ModelError: a number that is not a whole number >= 1.
 
     Example:
         >>> place = row_major(4, 4)  # FrozenLake-v1
@@ -63,7 +63,7 @@ def points_of(names: Iterable[Hashable], places: Places) -> FloatArray:
     """Return the points of states or actions in the plane; nan for those without, [names, 2].
 
     Raises:
-        ModelError: a value that is no point.
+        ModelError: a value that is not a point.
     """
     look_up = places.get if isinstance(places, Mapping) else places
     points = []
@@ -79,7 +79,7 @@ def cells_of(model: SSP, cells: Places) -> FloatArray:
     """Return the point of each state in the plane, [states, 2].
 
     Raises:
-        ModelError: no state has a point, or a value is no point.
+        ModelError: no state has a point, or a value is not a point.
     """
     points = points_of(model.states, cells)
     if np.isnan(points).all():
@@ -372,7 +372,7 @@ def plot_paths(
     """
     drawn = [np.asarray(path, dtype=np.float64) for path in paths]
     if len(drawn) != len(ends):
-        raise ModelError(f"{len(drawn)} paths cannot have {len(ends)} ends")
+        raise ModelError(f"{len(drawn)} paths need as many ends, not {len(ends)}")
     if not all(path.size == 0 or (path.ndim == 2 and path.shape[1] >= 2) for path in drawn):
         raise ModelError("a path must be an array [points, 2 or more]")
     is_new, ax = ax is None, axes_or_new(ax, 5.6, 5.6)

@@ -138,7 +138,7 @@ class Chain:
         return self._arriving[survival]
 
     def visits(self, survival: float = 1.0) -> FloatArray:
-        """Return the chain's expected visits of each node, those at t weighted survival^t, [nodes].
+        """Return the chain's expected visits of each node, discounted by ``survival``, [nodes].
 
         Raises:
             ModelError: the policy may wander for ever, so that visits are infinite.

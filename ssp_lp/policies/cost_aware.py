@@ -164,7 +164,7 @@ class CostAwarePolicy(Policy):
             off = acting & (off | (steps > _FAR))
             if off.any():
                 unit, cost = self.unit, float(costs[int(np.argmax(off))])
-                raise ModelError(f"observed cost {cost!r} is no whole number of units {unit!r}")
+                raise ModelError(f"observed cost {cost!r} is not a multiple of the unit {unit!r}")
             layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
             is_late = layer >= threshold
         return np.where(acting, self._memory_at(layer, is_late), memory)

@@ -110,7 +110,7 @@ class CostLayers:
     leads: Callable[[int], IntArray]  # layer -> layers that each class of step passes, [classes]
     unit: float | None  # cost of a layer; None: layers are levels, to which totals are rounded
     width: int  # 1 + the most layers that a step passes
-    rounds_up: bool = False  # whether a cost that is no whole number of units passes one layer more
+    rounds_up: bool = False  # whether costs that are not multiples of the unit are rounded up
     even: int = 0  # number of first layers that lead as the first one does
 
     @property
@@ -247,7 +247,7 @@ class Policy(Playable):
     """A policy with a finite memory or none, which starts, decides and remembers.
 
     Its methods work on many episodes at once. Memory is an integer whose meaning is the policy's
-    own; the default is no memory.
+    own; the default is not a memory.
     """
 
     model: SSP
@@ -687,7 +687,7 @@ def _decided_pair(model: SSP, state: int, action: Hashable) -> int:
 
 
 def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = False) -> None:
-    """Raise :class:`ModelError` if a deterministic policy's decision is no pair of its state.
+    """Raise :class:`ModelError` if a deterministic policy's decision is not a pair of its state.
 
     Args:
         model: the model.
@@ -705,7 +705,7 @@ def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = Fals
         wrong = (decision < UNDECIDED) | ((decision >= 0) & ((decision < low) | (decision >= high)))
     if wrong.any():
         name = model.states[int(np.argwhere(wrong)[0][-1])]
-        raise ModelError(f"the decision in state {name!r} is no pair of that state")
+        raise ModelError(f"the decision in state {name!r} is not a pair of that state")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -146,13 +146,13 @@ class TimedPolicy(_Carried):
 
 
 def asked(policy: Policy, some: IntArray, states: IntArray, memory: IntArray) -> Branches:
-    """Return a policy's decisions in some of several situations, with these situations' numbers."""
+    """Return a policy's decisions in selected situations, with the numbers of these situations."""
     branches = policy.branches(states[some], memory[some])
     return branches._replace(situation=some[branches.situation])
 
 
 def merged(memory: IntArray, *parts: Branches) -> Branches:
-    """Return decisions in different situations as one array, by situation."""
+    """Merge decisions in different situations into one array, sorted by situation."""
     situation, pair, probability, kept = (
         np.concatenate(part)
         for part in zip(*((*part[:3], part.kept(memory)) for part in parts), strict=True)
@@ -444,7 +444,7 @@ class CompletePolicy(_Carried):
     dead-end), and 2 in episodes that begin where none of its own begins.
 
     Raises:
-        ModelError: a decision is no pair of its state.
+        ModelError: a decision is not a pair of its state.
     """
 
     inner: Policy

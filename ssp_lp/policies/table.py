@@ -119,7 +119,7 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         return tables
 
     def all_rows(self) -> Table:
-        """Return a table with all rows of all members, with a column for each field."""
+        """Return the decisions of all members as one table, a row for each decision."""
         return Table(self._rows, PolicyRow._fields)
 
     def to_frame(self) -> Any:

@@ -216,8 +216,8 @@ class Condition:
                 if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
                         f"constraint {self.name!r} bounds costs, visits or exceeding from below, "
-                        "which needs policies that randomise on the way: without accumulated "
-                        "costs, add a row to the linear program"
+                        "which needs policies that randomise on the way: add a row to the linear "
+                        "program instead, if no costs are accumulated"
                     )
                 offset -= weight
                 term, weight = replace(term, others=not term.others), -weight

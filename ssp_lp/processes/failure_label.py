@@ -71,7 +71,7 @@ class FailureLabelled:
         return None if nearer is None else self._with_source(nearer)
 
     def placed(self, decision: IntArray) -> IntArray | None:
-        """Return a policy of the model as a choice in the process, [states]; None: it is none.
+        """Return a policy of the model as a choice in the process, [states]; None: not possible.
 
         Args:
             decision: pair of the model, negative for none, [model states].

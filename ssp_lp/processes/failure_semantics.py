@@ -1,6 +1,6 @@
 """Semantics of failure: where a policy may give up, the charges of failing, and the start.
 
-Also the counting of costs and arrivals, by these semantics, at the pairs of an augmented process.
+The module also counts costs and arrivals at the pairs of an augmented process.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class ObjectiveSense:
             paid: sum of price times bound of the rows, which a dual bound subtracts.
         """
         taken = abs(self.offset if self.constant is None else self.constant)
-        taken = max(taken, paid) if taken > 0.0 else 0.0  # 0 if the objective is no difference
+        taken = max(taken, paid) if taken > 0.0 else 0.0  # 0 if the objective is not a difference
         return value if abs(value - bound) <= _ROUNDED * taken else bound
 
 

@@ -169,7 +169,7 @@ def _extreme_reach(
         surely: pairs that attain the extreme by the graph alone, [model pairs].
         survival: the discount.
         start: only states with positive entries are needed, [states]; None: all.
-        last_digits: as of ``extreme_reach``.
+        last_digits: see ``extreme_reach``.
         greatest: maximise, rather than minimise.
     """
     model = quotient.model

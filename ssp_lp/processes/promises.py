@@ -43,7 +43,7 @@ class _Total(Followed):
         With ``passes`` there are two: just passed, and passed before.
 
         Raises:
-            ModelError: an unknown name, a quantity that is no total of costs and visits, or too
+            ModelError: an unknown name, a quantity that is not a total of costs and visits, or too
                 many totals.
         """
         amounts, begun = run_amounts(model, self.quantity)

@@ -129,7 +129,7 @@ class Quantity:
         Raises:
             ModelError: always.
         """
-        raise ModelError(f"{self!r} is no array{_WITH_CVXPY}")
+        raise ModelError(f"{self!r} is not an array{_WITH_CVXPY}")
 
     def __add__(self, other: Quantity | float) -> Quantity:
         """Return the sum."""
@@ -333,8 +333,8 @@ def arrival_cost(
 
     As the ``quantity`` of a user's criterion with ``ratio = True`` it is E[f(C) | goal], such as
     the mean lateness ``arrival_cost(lambda c: np.maximum(c - due, 0.0), affine_from=due)``.
-    Several can be added and scaled. A function of the total cost of a run is no row of a program:
-    it cannot be limited, nor added to other quantities.
+    Several can be added and scaled. A function of the total cost of a run cannot be a row of a
+    program: it cannot be limited, nor added to other quantities.
 
     Args:
         function: f, on arrays of total costs: non-negative, non-decreasing; None: the total cost.
@@ -589,7 +589,7 @@ def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]
     amounts, begun = np.zeros(model.n_outcomes), np.zeros(model.n_states)
     for weight, counted in quantity.terms:
         if weight < 0.0:
-            raise ModelError(f"the total of {quantity!r} may fall: give weights >= 0")
+            raise ModelError(f"the total of {quantity!r} may decrease: give weights >= 0")
         match counted:
             case _StageCosts(cost, False):
                 costs = model.costs if cost is None else outcome_costs(model, cost)
@@ -598,8 +598,8 @@ def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]
                 there = _looked_up_states(model, of).astype(np.float64)
                 amounts, begun = amounts + weight * there[model.successors], begun + weight * there
             case _:
-                told = "a total up to the goal or failing must be one of costs and visits"
-                raise ModelError(f"{told}, without through_failure, not of {counted!r}")
+                told = "the total of a run must count costs and visits, without through_failure"
+                raise ModelError(f"{told}, not {counted!r}")
     return amounts, begun
 
 

@@ -121,7 +121,7 @@ class Augmented(ABC):
         return len(self.quotient.pair_at)
 
     def in_all_copies(self, values: FloatArray) -> FloatArray:
-        """Return numbers per pair of all copies, with 0 for pairs that the process lacks.
+        """Spread numbers of the process's pairs over all copies of the live part, 0 elsewhere.
 
         Args:
             values: numbers per pair of the process, [process pairs].

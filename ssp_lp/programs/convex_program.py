@@ -430,7 +430,7 @@ class ConvexProgram:
         return Conflict({name: self._bound_in_short(self.constraints[name]) for name in names})
 
     def _bound_in_short(self, row: Any) -> str:
-        """Return a row's bound, such as "<= 3", or "as it is stated" if it is no single number."""
+        """Return a row's bound, such as "<= 3", or "as it is stated" if there are several."""
         if isinstance(row, Equality | Inequality):
             _, relation, bound = self._sides(row)
             if bound.value is not None and np.size(bound.value) == 1:

@@ -305,7 +305,7 @@ class StateValues:
     def at(
         self, state: Hashable, action: Hashable | None = None, cost: float | None = None
     ) -> float:
-        """Return the dual value of a state or, given an action, of taking this action first.
+        """Return the value of a state, or of taking an action first, by the duals of flow balance.
 
         Args:
             state: a live state: neither goal nor dead-end.

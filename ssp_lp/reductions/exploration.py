@@ -114,8 +114,8 @@ def _answered(
 ) -> tuple[Solution, IntArray]:
     """Return the solution on an explored part, and the states in doubt.
 
-    With least failure, the part's policies of least failure may violate a limit that others
-    satisfy: it is then solved without limits, to find the states on which these policies depend.
+    If the problem asks for least failure and the part's policies of least failure violate a limit,
+    the part is solved without limits, to find the states on which these policies depend.
 
     Raises:
         ModelError: a limit counts quantities after failing.
@@ -142,7 +142,7 @@ def _answered(
 
 
 def _even_at_best(error: InfeasibleError) -> InfeasibleError:
-    """Return the error of a part as one of the whole model, whose policies are no better."""
+    """Return an error on a part as an error on the whole model, where no policy does better."""
     return InfeasibleError(
         f"even if unexplored states attain their bounds: {error}",
         failure_budget=error.failure_budget,
@@ -272,7 +272,7 @@ def _check_bounds(solution: Solution) -> None:
                 k = int(np.argmax(wrong))
                 does = "fails with" if name == "failure_bound" else "reaches the goal for a mean of"
                 raise ModelError(
-                    f"{name}({part.states[here[k]]!r}) = {told[k]:.9g} is no bound: a policy "
+                    f"{name}({part.states[here[k]]!r}) = {told[k]:.9g} is not a bound: a policy "
                     f"{does} {met[k]:.9g} from there"
                 )
 

@@ -43,7 +43,7 @@ from ssp_lp.solution import Solution
 def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
     """Solve a problem over boxes of probabilities.
 
-    problem: a formulation that ``check_boxed`` accepts, with ``box``.
+    Args:
         problem: a formulation that ``check_boxed`` accepts, with ``box``.
         solve: function that solves the problem at given probabilities.
         time_limit: seconds.
@@ -109,7 +109,7 @@ def at_probabilities(problem: Any, probabilities: FloatArray) -> Any:
 def settled(
     boxes: Boxes, semantics: FailureSemantics
 ) -> tuple[FloatArray, IntArray, FloatArray, int]:
-    """Run the policy iteration against nature.
+    """Find the decisions that are optimal at nature's worst probabilities, by policy iteration.
 
     Decisions are changed for a strict gain only, so that a policy that surely ends is followed by
     such a policy, and cycles of cost 0 are never entered.
@@ -181,7 +181,7 @@ def ending(boxes: Boxes, semantics: FailureSemantics) -> tuple[IntArray, FloatAr
             state = model.states[int(boxed.chain.state[np.argmax(going_on)])]
             raise ModelError(
                 f"state {state!r}: the boxes allow probabilities with which a run never ends: use "
-                "give_up='anywhere', or give the outcomes that lead to an end a low above 0"
+                "give_up='anywhere', or raise low above 0 for the outcomes that lead to an end"
             )
     return decision, np.where(may_stop, stopping, entering)
 

@@ -50,7 +50,7 @@ from ssp_lp.verification.prove import Bounds, RefusedError, number
 
 _CAPS, _NARROW = 12, 1e-10  # number of caps to try, and the relative width that ends the trials
 _MOST_NODES = 2_000_000
-_STEEP = 1000.0  # price of failing at least failure, times 1 + |objective|
+_STEEP = 1000.0  # price of failing with least failure, times 1 + |objective|
 _FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
 _IN_MEMORY = ": certify(solution) proves it in memory"
@@ -98,7 +98,7 @@ def check_certificate(path: str | Path, *, problem: Problem | None = None) -> Ch
         The verdict. If it is not ``accepted``, it names the inequality that fails, and where.
     """
     if not isinstance(path, (str, Path)) and not hasattr(path, "__fspath__"):
-        how = "is no path of a file: write one by ssp_lp.write_certificate(solution, path)"
+        how = "is not a path of a file: write one by ssp_lp.write_certificate(solution, path)"
         return Checked(False, f"{type(path).__name__} {how}")
     try:
         expected = None if problem is None else sha256_of(problem)
@@ -106,7 +106,7 @@ def check_certificate(path: str | Path, *, problem: Problem | None = None) -> Ch
     except RefusedError as error:
         reason = str(error)
     except gzip.BadGzipFile:
-        reason = "this is no certificate: ssp_lp.write_certificate writes one"
+        reason = "this is not a certificate: ssp_lp.write_certificate writes one"
     except (OSError, ModelError) as error:
         if isinstance(error, ModelError) or error.errno:  # there is no such file
             raise
@@ -190,7 +190,7 @@ class Statement:
         if isinstance(semantics.risk, TailMeanOf):
             raise _refused(problem, f"it asks for a tail mean{_IN_MEMORY}")
         if problem.unrolled.model.failure_label is not None:
-            raise _refused(problem, f"it counts what follows failing{_IN_MEMORY}")
+            raise _refused(problem, f"it counts quantities after failing{_IN_MEMORY}")
         if problem.discount is not None and problem.reach_fraction is not None:
             both = Argument("reach_fraction"), " and ", Argument("discount")
             raise ModelError(f"no certificate file of {type(problem).__name__} with ", *both)
@@ -381,7 +381,7 @@ def program_of(
 
 
 def goal_totals(question: dict[str, Any], states: Iterable[bytes], cap: Fraction) -> list[Fraction]:
-    """Return 0 and the totals with which steps from below a cap can reach the goal."""
+    """Return 0 and the totals at which a last step from below a cap can reach the goal."""
     any_failure = {
         **question,
         "failure": (Fraction(1), Fraction(1)),

@@ -20,7 +20,7 @@ from typing import Any
 if __package__:
     from .expand import Action, Program, State, in_parts
     from .prove import Bounds, Member, Proof, need, number, prove, whole
-else:  # copied elsewhere
+else:  # this file was copied elsewhere
     from expand import Action, Program, State, in_parts  # type: ignore
     from prove import Bounds, Member, Proof, need, number, prove, whole  # type: ignore
 
@@ -74,7 +74,7 @@ def read(line: bytes, **kinds: type) -> Any:
 def read_question(lines: Iterator[bytes]) -> tuple[Question, str, Any]:
     """Read the question, the SHA-256 of it and the model, and the value of a quantile."""
     question, digest = read(first := next(lines), **KINDS), hashlib.sha256(first)
-    need(question["format"] == FORMAT, "this is no certificate of this format")
+    need(question["format"] == FORMAT, "this is not a certificate of this format")
     for line in islice(lines, whole(question["states"], LARGE)):
         digest.update(line)
     is_alone = question["quantile"] is None or {**question, **ALONE} == question
@@ -85,7 +85,7 @@ def read_question(lines: Iterator[bytes]) -> tuple[Question, str, Any]:
 
 
 def read_state(line: bytes, question: Question) -> State:
-    """Read a state of the model, with normalised probabilities and mean costs."""
+    """Read a state of the certified model from its line, with normalised probabilities."""
     stated, actions = read(line, name=str, sets=list, actions=list), list[Action]()
     for name, outcomes, costs in stated["actions"]:
         weights, _ = in_parts([number(p) for p, _ in outcomes])

@@ -132,20 +132,20 @@ class Certificate(Facts):
     objective: float  # exact value of the policy
     lower_bound: float  # no policy within the budget is cheaper
     failure: float  # the failure that the budget limits: exact, or discounted under a discount
-    budget: float  # largest failure allowed; at least failure: a certified upper bound of it
+    budget: float  # largest failure allowed; with least failure: its certified upper bound
     budget_slack: float  # budget - failure
     tail_gap: float  # case S: the part of the relative gap that the cap M leaves; 0 if lossless
     accepted: bool
     reason: str  # why it was refused; empty if accepted
     upper_bound: float | None = None  # of a maximised probability; None if the problem minimises
-    least_failure_bound: float | None = None  # at least failure: no policy fails less
+    least_failure_bound: float | None = None  # with least failure: no policy fails less
     assumption: str = ""  # of a model given by its successor function: what its bounds assume
 
     @property
     def gap(self) -> float:
         """Certified relative gap between objective and bound; infinite if refused.
 
-        At least failure, the gap of the goal probability if that is wider.
+        With least failure, the gap of the goal probability if that gap is wider.
         """
         if not self.accepted:
             return float("inf")

@@ -101,7 +101,7 @@ class Nodes:
                 break  # too many to store: `at` builds them
             self.kept[column.node].append(column)
         met, queue = {0}, [0]
-        for i in queue if not self.where else ():  # it grows while it is walked
+        for i in queue if not self.where else ():  # the queue grows in the loop
             after = {j for column in self.kept[i] for _, j in column.moves} - met
             met |= after
             queue += after
@@ -213,7 +213,7 @@ class Nodes:
         """
         above, decision, chosen = self.program.follows, dict[int, int](), dict[int, Column]()
         before, queue, ending = defaultdict[int, list[int]](list), [0], list[int]()
-        for i in queue:  # it grows while it is walked
+        for i in queue:  # the queue grows in the loop
             if i in chosen:
                 continue
             decision[i] = decide(above.get(i, i)) if i else 0
@@ -407,7 +407,7 @@ def leaving_choice(ways: Sequence[_Way], n_nodes: int, preferred: Sequence[bool]
                 before[j].append(n)
         queue = [n for n in some if sum(a for a, _ in ways[n].outcomes) < ways[n].total
                  or any(choice[j] >= 0 for _, j in ways[n].outcomes)]  # fmt: skip
-        for n in queue:  # it grows while it is walked
+        for n in queue:  # the queue grows in the loop
             if choice[ways[n].node] < 0:
                 choice[ways[n].node] = n
                 queue += before[ways[n].node]

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 if __package__:
     from .prove import Column, Counts, Row, need, number, whole
-else:  # copied elsewhere
+else:  # this file was copied elsewhere
     from prove import Column, Counts, Row, need, number, whole  # type: ignore
 
 ZERO, ONE = Fraction(0), Fraction(1)
@@ -84,7 +84,7 @@ class _Graph:
         """Return state -> least number of allowed actions to the goal, if it is reachable."""
         steps = dict.fromkeys(self.goal, 0)
         queue = list(steps)
-        for y in queue:  # it grows while it is walked
+        for y in queue:  # the queue grows in the loop
             for k in self.before[y]:
                 if allowed[k] and self.home[k] not in steps:
                     steps[self.home[k]] = steps[y] + 1
@@ -98,7 +98,7 @@ class _Graph:
             counts[x] += stays[k]
         queue = [x for x in range(self.size) if x not in states]
         queue += [x for x in states if not counts[x] and self.first[x] < self.first[x + 1]]
-        for y in queue:  # it grows while it is walked
+        for y in queue:  # the queue grows in the loop
             inside.discard(y)
             for k in self.before[y]:
                 if stays[k]:
@@ -266,7 +266,7 @@ class Program:
             self.model.append(State(name, sets, [one._replace(outcomes=o) for one, o in each]))
         queue = [(0, x) for _, x in self.start if x in self.live and self.cap]
         met = set(queue)
-        for r, x in queue:  # it grows while it is walked
+        for r, x in queue:  # the queue grows in the loop
             for k, action in enumerate(self.model[x].actions, self.graph.first[x]):
                 for _, y, t in action.outcomes if self.keeps[k] else ():
                     if y in self.live and r + t < self.cap and (r + t, y) not in met:

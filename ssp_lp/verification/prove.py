@@ -80,7 +80,7 @@ class Proof:
     unit: int
     prices: list[Fraction]
     weights: list[Fraction]
-    ratio: Fraction | None  # a lower bound of the ratio; None: the objective is no ratio
+    ratio: Fraction | None  # a lower bound of the ratio; None: the objective is not a ratio
     v: dict[int, int]
     members: list[Member]
 
@@ -110,7 +110,7 @@ def number(text: Any) -> Fraction:
 def whole(value: Any, below: int) -> int:
     """Return a value, checked to be a whole number >= 0 and below a limit."""
     if not (type(value) is int and 0 <= value < below):
-        need(False, repr(value)[:99], "is no whole number below", repr(below)[:99])
+        need(False, repr(value)[:99], "is not a whole number below", repr(below)[:99])
     return int(value)
 
 

@@ -68,8 +68,8 @@ def check_rows():
         ({"outcomes": lambda a: 3}, "outcomes must be"),
         ({"successors": lambda a: a[:-1]}, "successors must be 6 numbers, one for each outcome"),
         ({"successors": lambda a: a + 0.5}, "successors must be"),
-        ({"successors": lambda a: a + 2**32}, "has a successor that is no state"),
-        ({"successors": lambda a: a - 2}, "has a successor that is no state"),
+        ({"successors": lambda a: a + 2**32}, "has a successor that is not a state"),
+        ({"successors": lambda a: a - 2}, "has a successor that is not a state"),
         ({"probabilities": lambda a: a.reshape(-1, 3)}, "probabilities must be 6 numbers"),
         ({"probabilities": lambda a: 1.1 * a}, r"of state \d+: probabilities sum to 1.1"),
         ({"costs": lambda a: [1.0] * 5}, "costs must be a number"),
@@ -137,7 +137,7 @@ def check_questions(model, answer):
     refused("of 8 states: this one has 3", lambda: answer.policy.on(FIRST))
     worse = answer.policy.positions + 9
     wrong = PartitionedPolicy(model.part, answer.policy.weights, worse)
-    refused("is no pair of that state|failed", lambda: model.evaluate(wrong, MCMP, **ASKED))
+    refused("is not a pair of that state|failed", lambda: model.evaluate(wrong, MCMP, **ASKED))
     for kept in (answer, answer.policy, model):
         refused(r"use answer.policy.save\(\)", lambda kept=kept: pickle.dumps(kept))
     assert repr(answer).startswith("PartitionedSolution(MCMP: objective 6.64081737, gap ")

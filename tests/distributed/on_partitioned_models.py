@@ -89,7 +89,7 @@ def check_file():
     assert read.part.words == partitioned(model).part.words
     limits = {"fuel": secondary_cost("fuel") <= 6.2, "lost": end_probability("lost") <= 0.29}
     check_the_same(model, read, MCMP, start=0, failure_budget=0.3, constraints=limits)
-    with pytest.raises(ModelError, match="is no ssp-lp model file"):
+    with pytest.raises(ModelError, match="is not an ssp-lp model file"):
         PartitionedModel.from_file(__file__)
 
 

@@ -81,7 +81,7 @@ def check_conflict(draw: Draw, error: InfeasibleError) -> None:
 
     def possible(rows: set[str]) -> bool:
         limits = tuple(x for k, x in enumerate(draw.task.limits) if f"limit {k}" in rows)
-        at_least = error.failure_budget is None or draw.task.most_failure == 0.0  # is no row
+        at_least = error.failure_budget is None or draw.task.most_failure == 0.0  # is not a row
         kept = at_least or "failure" in rows
         within = draw.task.most_failure if kept else 1.0
         task = draw.task._replace(limits=limits, most_failure=within)

@@ -227,7 +227,7 @@ def test_the_last_step_of_a_horizon_may_cost_anything(tmp_path):
         if player is controller:
             controller.reset(0, world="other")
         player.action("x")
-        words, errors = "no whole number of units", (ModelError, ValueError)
+        words, errors = "not a multiple of the unit", (ModelError, ValueError)
         refused(words, player.observe, "x", 0.37, error=errors)
 
 
@@ -311,7 +311,7 @@ def test_what_a_controller_refuses(tmp_path):
     other.reset()
     for player in (policy.start(), other):  # a cost beyond all layers
         player.action(START)
-        words, errors = "no whole number of units", (ModelError, ValueError)
+        words, errors = "not a multiple of the unit", (ModelError, ValueError)
         refused(words, player.observe, ("hall", 0), 1e30, error=errors)
 
 
@@ -355,10 +355,10 @@ def test_a_damaged_file_is_refused_with_the_reason(tmp_path):
     damaged += ['{"format": "other"}', "[]"]
     for one in damaged:
         path.write_text(one)
-        words = r"damaged|is no ssp-lp controller file|has version"
+        words = r"damaged|is not an ssp-lp controller file|has version"
         refused(words, Controller, path, error=ValueError)
     path.write_bytes(b"\xff\xfe\x00")
-    refused("is no ssp-lp controller file", Controller, path, error=ValueError)
+    refused("is not an ssp-lp controller file", Controller, path, error=ValueError)
 
 
 # Headers of C act as the policies that they were written from, compiled as C99.

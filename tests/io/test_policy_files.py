@@ -108,11 +108,17 @@ def stated(format="ssp-lp policy", **entries):
 @pytest.mark.parametrize(
     ("arrays", "words"),
     [
-        ({"decision": np.zeros(3)}, "no ssp-lp policy file"),
-        ({"header": np.array([{"a": 1}], dtype=object)}, "no ssp-lp policy file"),  # never opened
-        ({"header": np.frombuffer(b"[1]", dtype=np.uint8)}, "no ssp-lp policy file"),
-        (stated("ssp-lp solution", version=1), "no ssp-lp policy file"),
-        (stated("ssp-lp model", version=1), "no ssp-lp policy file: its format is 'ssp-lp model'"),
+        ({"decision": np.zeros(3)}, "not an ssp-lp policy file"),
+        (
+            {"header": np.array([{"a": 1}], dtype=object)},
+            "not an ssp-lp policy file",
+        ),  # never opened
+        ({"header": np.frombuffer(b"[1]", dtype=np.uint8)}, "not an ssp-lp policy file"),
+        (stated("ssp-lp solution", version=1), "not an ssp-lp policy file"),
+        (
+            stated("ssp-lp model", version=1),
+            "not an ssp-lp policy file: its format is 'ssp-lp model'",
+        ),
         (stated(version=99), "version 99, .* newer ssp-lp"),
         (stated(version=0), "version 0, .*: write the policy again"),
     ],
@@ -120,7 +126,7 @@ def stated(format="ssp-lp policy", **entries):
 def test_files_that_are_none_are_refused(arrays, words, tmp_path):
     path = tmp_path / "policy.npz"
     path.write_text("no archive")
-    refused("no ssp-lp policy file", load_policy, path, hall())
+    refused("not an ssp-lp policy file", load_policy, path, hall())
     np.savez(path, **arrays)
     refused(words, load_policy, path, hall())
 
@@ -352,7 +358,7 @@ def test_another_problem_is_refused(name, other, words, tmp_path):
 
 def test_a_policy_file_is_no_solution(tmp_path):
     save_policy(solve(mcmp()).policy, tmp_path / "policy.npz")
-    refused("no ssp-lp solution file", load_solution, tmp_path / "policy.npz", mcmp())
+    refused("not an ssp-lp solution file", load_solution, tmp_path / "policy.npz", mcmp())
 
 
 @pytest.mark.parametrize("junk", [None, 0, "x", [], {}, [7], 10**12])

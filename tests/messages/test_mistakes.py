@@ -267,7 +267,7 @@ def test_a_policy_of_another_environment_says_so():
     world = from_gymnasium(gym.make("FrozenLake-v1"))
     policy = solve(MaxProb(world.model, world.start)).policy
     other = gym.make("CliffWalking-v1")
-    told = "observed in the environment, of which the policy's model may not be: 36"
+    told = "observed in the environment: the policy's model may be of another one: 36"
     refused(told, rollout, other, policy, episodes=1, seed=0)
 
 
@@ -308,8 +308,8 @@ IN_PYTHON: list[tuple[Callable[[], Any], str]] = [
         lambda: SSP.from_transitions({"a": {"go": [(1.0, "hoem", 1.0)]}, "home": {}}, ("home",)),
         "leads to 'hoem', which is neither a state of the model nor a goal; did you mean 'home'?",
     ),
-    (lambda: model(with_outcome("0.9", "home", 1.0)), "a probability that is no number: '0.9'"),
-    (lambda: model(with_outcome(1.0, "home", "4")), "a cost that is no number: '4'"),
+    (lambda: model(with_outcome("0.9", "home", 1.0)), "a probability that is not a number: '0.9'"),
+    (lambda: model(with_outcome(1.0, "home", "4")), "a cost that is not a number: '4'"),
     (lambda: model(with_outcome(0.9, "home", 1.0)), "probabilities sum to 0.9, not to 1"),
     (lambda: model(with_outcome(1.0, "home", -1.0)), "rewards? pass costs=-rewards"),
     (lambda: model(with_outcome(1.0, ["home"], 1.0)), "must not contain a list, dict"),
@@ -356,7 +356,7 @@ IN_A_SHELL = [
     ("solve roads.txt --goal home", "must end in one of"),
     ("solve roads.json --goal home --start depot --criterion mcpm", "'mcpm'"),
     ("solve roads.json --goal home --start depot --failure-budget 5", "did you mean 0.05?"),
-    ("solve roads.json --goal home --start depot --failure-budget five", "'five' is no number"),
+    ("solve roads.json --goal home --start depot --failure-budget five", "'five' is not a number"),
     ("solve roads.json --goal home --start depot --criterion cvar", "cvar needs --level"),
     (
         "solve roads.json --goal home --start depot --criterion maxprob --level 1/2",
@@ -396,8 +396,8 @@ IN_A_SHELL = [
             ("solve", "--limit 'visit(depot) <= 3'", "did you mean 'visits(...)'?"),
             ("solve", "--cost fuel", "leave out --cost"),
             ("explore", "--out page.png", "a page's name must end in .html"),
-            ("program", "--criterion cvar --level 0.9", "CVaR is no linear program but a search"),
-            ("solve", "--criterion least-quantity --quantity fuel", "'fuel' is no quantity of"),
+            ("program", "--criterion cvar --level 0.9", "CVaR is not a linear program but"),
+            ("solve", "--criterion least-quantity --quantity fuel", "'fuel' is not a quantity of"),
             ("solve", "--dead-ends wrek", "did you mean 'wreck'?"),
         )
     ),
@@ -504,7 +504,7 @@ SLIPS = [
         "SSP.from_successors('a', lambda s: {}, {'g'}, state_limit='x')",
         "state_limit must be a whole",
     ),
-    ("M.action_of(99)", "99 is no pair of the model"),
+    ("M.action_of(99)", "99 is not a pair"),
     ("product(M, Memory(0, lambda a, b: 0))", "update must be a function of 5 arguments"),
     ("product(M, Memory(0, lambda m, s, a, t, c: []))", "a state must not contain a list"),
     ("DeterministicPolicy.from_actions(M, ['x'])", "actions must be a dict"),

@@ -336,7 +336,7 @@ def test_what_no_limit_or_no_program_is_is_refused():
     kept = {"fire": end_probability("fire") >= 0.01}
     with pytest.raises(ModelError, match="bounds from below"):
         trace_frontier(MCMP(SKID, "a", 0.1, constraints=kept), over="fire")
-    with pytest.raises(ModelError, match="no linear program"):
+    with pytest.raises(ModelError, match="not a linear program"):
         trace_frontier(CVaR(SKID, "a", 0.9, 0.1, constraints=ending("crash", 0.1)), over="crash")
     with pytest.raises(ModelError, match="steepest_price"):
         trace_frontier(crashes(1.0), over="crash", steepest_price=10.0)

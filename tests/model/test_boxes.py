@@ -66,12 +66,12 @@ def test_rows_in_turns_keep_their_counts_and_rows_at_a_goal_are_left_out():
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        ([("a", "go", "home", 1.5, 1.0)], "the count 1.5 is no whole number >= 0"),
-        ([("a", "go", "home", -1, 1.0)], "the count -1 is no whole number >= 0"),
+        ([("a", "go", "home", 1.5, 1.0)], "the count 1.5 is not a whole number >= 0"),
+        ([("a", "go", "home", -1, 1.0)], "the count -1 is not a whole number >= 0"),
         ([("a", "go", "home", 0, 1.0)], "no counts"),
         ([("a", "go", "home", 1)], "row .*'home', 1"),
-        ([("a", "go", "home", "90", 1.0)], "'90', 1.0.*count, cost.*the count '90' is no whole"),
-        ([("a", "go", "home", True, 1.0)], "the count True is no whole number"),
+        ([("a", "go", "home", "90", 1.0)], "'90', 1.0.*count, cost.*the count '90' is not a whole"),
+        ([("a", "go", "home", True, 1.0)], "the count True is not a whole number"),
         ([ROWS[0], {"state": "a"}], "row 1 of the table must be .state, action.* not .'state'"),
         ([("a", "go", ["home"], 1, 1.0)], "row 0, column 'successor'"),
         ([1, 2], "row 0 of the table must be .state, .* not 1"),

@@ -57,8 +57,8 @@ def test_the_builders_agree(model):
         ([(1.0, "g", float("nan"))], "cost that is NaN"),
         ([(1.0, "elsewhere", 1.0)], "'elsewhere'"),
         ([(1.0, "g")], "triple"),
-        ([(1.0, "g", "free")], "no number"),
-        ([("0.5", "g", 1.0), (0.5, "x", 1.0)], "has a probability that is no number: '0.5'"),
+        ([(1.0, "g", "free")], "not a number"),
+        ([("0.5", "g", 1.0), (0.5, "x", 1.0)], "has a probability that is not a number: '0.5'"),
         ([], "no outcomes"),
     ],
 )
@@ -126,7 +126,7 @@ def test_the_lattice_of_costs_is_exact(first, second, layers):
         ({"states": ["a", "a"]}, "several states"),
         ({"actions": ["x", "x"]}, "twice"),
         ({"successors": [0.5, 1.0]}, "integers"),
-        ({"successors": [0, 7]}, "no state"),
+        ({"successors": [0, 7]}, "not a state"),
         ({"pair_offsets": [0, 1, 1]}, "run from 0"),
         ({"costs": [1.0, 2.0, 3.0]}, "costs must be"),
     ],
@@ -197,7 +197,7 @@ def test_actions_are_numbered_within_their_state(chunk):
 @pytest.mark.parametrize(
     ("name", "faults", "complaint"),
     [
-        ("successors", {10: 7, 13: -1}, "state 3 has a successor that is no state"),
+        ("successors", {10: 7, 13: -1}, "state 3 has a successor that is not a state"),
         ("probabilities", {4: -0.5, 11: np.nan}, "state 3 has a probability that is NaN"),
         ("probabilities", {4: np.inf, 11: -0.5}, "state 3 has a negative probability"),
         ("probabilities", {16: np.inf}, "state 5 has an infinite probability"),

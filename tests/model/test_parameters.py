@@ -53,8 +53,8 @@ def test_expressions_are_affine():
     refused("two values", lambda: CRASH + Parameter("crash", 0.2))
     refused("combines with numbers", lambda: CRASH + "1")
     refused("a word", Parameter, "p crash", 0.1)
-    refused("no number", Parameter, "crash", "0.1")
-    refused("no number", Parameter, "crash", True)
+    refused("not a number", Parameter, "crash", "0.1")
+    refused("not a number", Parameter, "crash", True)
     two = [(CRASH, "home", 1.0), (1 - Parameter("crash", 0.2), "pit", 1.0)]
     refused("'go' of state 'a'.*two values: 0.1, 0.2",
             SSP.from_transitions, {"a": {"go": two}, "pit": {}}, {"home"})  # fmt: skip

@@ -154,7 +154,7 @@ def test_a_task_as_the_goal():
         reach(HOUSE, task("G !key"), start=["hall"])
     refused("no run from the start satisfies", reach, HOUSE, task("false"), start=["hall"])
     refused("reach takes task", reach, HOUSE, "F key", start=["hall"])
-    refused("no state|is not a state", reach, HOUSE, task("F key"), start=["hell"])
+    refused("is not a state", reach, HOUSE, task("F key"), start=["hell"])
 
 
 def test_the_automaton_prints_and_draws():

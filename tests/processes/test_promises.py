@@ -193,8 +193,8 @@ def test_totals_of_real_amounts_are_sums_and_too_many_are_named():
 def test_what_is_no_total_is_refused():
     refused("takes a quantity first", lambda: within(1.0, 2.0))
     refused("the bound of within must be a number >= 0", lambda: within(FUEL, -1.0))
-    refused("one of costs and visits", lambda: on_six(within(end_probability("goal"), 1) >= 0.5))
-    refused("may fall", lambda: on_six(within(-1.0 * FUEL, 1) >= 0.5))
+    refused("count costs and visits", lambda: on_six(within(end_probability("goal"), 1) >= 0.5))
+    refused("may decrease", lambda: on_six(within(-1.0 * FUEL, 1) >= 0.5))
     refused("from below", lambda: on_six(exceeds(FUEL, 1) >= 0.5))
     with pytest.raises(ModelError, match="no cost 'feul'"):
         on_six(within(secondary_cost("feul"), 1) >= 0.5)

@@ -118,7 +118,7 @@ def test_starts_of_a_ratio_are_set_by_hand_or_refused():
     measure = least.solve(cp.CLARABEL)
     assert measure.objective == pytest.approx(shared, rel=1e-6)
     assert measure.optimal_value_from_dual == pytest.approx(shared, rel=1e-6)
-    for start in ("s", "t"):  # of one state and total, which is no state of the model; of several
+    for start in ("s", "t"):  # of one state and total, not a state of the model; of several
         told = S3P(TWO_PLACES, start, 0.5).program().to_cvxpy()
         told.start.value = np.roll(told.start.value, 1) / 2.0
         with pytest.raises(ModelError, match=r"solve\(start=...\), which rebuilds"):

@@ -564,7 +564,7 @@ def test_a_written_program_has_names(tmp_path):
 
 @pytest.mark.parametrize("criterion", [CostQuantile, CVaR])
 def test_a_search_over_programs_is_no_program(criterion):
-    with pytest.raises(ModelError, match="no linear program but a search over many"):
+    with pytest.raises(ModelError, match="not a linear program but a search over many"):
         criterion(DEPOT, "depot", 0.9, 0.05).program()
 
 

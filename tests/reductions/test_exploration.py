@@ -182,10 +182,10 @@ def _limited(limit: Any) -> MCMP:
 
 def test_a_bound_that_is_none_is_found_out() -> None:
     too_dear = walk(cost_bound=lambda k: 2.0 * distance(k))
-    with pytest.raises(ModelError, match=r"cost_bound\(\d\) = \d is no bound"):
+    with pytest.raises(ModelError, match=r"cost_bound\(\d\) = \d is not a bound"):
         solve(MCMP(too_dear, 0, **SURE))
     too_sure = walk(failure_bound=lambda k: 0.25 if k == 2 else 0.0)
-    with pytest.raises(ModelError, match=r"failure_bound\(2\) = 0.25 is no bound"):
+    with pytest.raises(ModelError, match=r"failure_bound\(2\) = 0.25 is not a bound"):
         solve(MCMP(too_sure, 0, **SURE))
 
 

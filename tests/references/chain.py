@@ -182,7 +182,7 @@ def recurrent_classes(moves: Moves, states: Iterable[State]) -> list[frozenset[S
 def long_run_average(
     model: PlainModel, begin: Mapping[State, float], policy: Policy, doublings: int = 30
 ) -> float:
-    """(1/T) sum of P(x_t is no goal) over t < T = 2^doublings, by S_2T = S_T + M^T S_T."""
+    """(1/T) sum of P(x_t is not a goal) over t < T = 2^doublings, by S_2T = S_T + M^T S_T."""
     order = list(model.choices)
     index = {state: i for i, state in enumerate(order)}
     matrix = np.zeros((len(order), len(order)))

@@ -382,7 +382,7 @@ def test_a_budget_is_kept_but_for_rounding():
     ],
 )
 def test_a_verdict_names_what_contradicts_a_bound_of_2(changed, above, words):
-    """No policy is better than a bound that was proved, nor worth anything if it is no number."""
+    """No policy is better than a proved bound, nor worth anything if it is not a number."""
     solution = solve(MaxProb(risky_or_safe(0.5, 3.0), "way 0"))
     attained = evaluate(solution.policy, solution.problem)
     attained = replace(attained, **({"objective": 2.0, "failure_probability": 0.2} | changed))

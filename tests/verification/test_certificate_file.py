@@ -249,7 +249,7 @@ def test_the_members_of_another_policy(tmp_path):
 def test_a_wrong_reading_of_the_model_is_seen(tmp_path, monkeypatch):
     """The solver's rooms broken on purpose: a file does not read what they read."""
     problem = MCMP(ROAD, "road", 1.0, charge_failing_step=False)
-    with monkeypatch.context() as broken:  # whatever is no goal counts as avoiding it
+    with monkeypatch.context() as broken:  # whatever is not a goal counts as avoiding it
         broken.setattr(failure_semantics, "attention_states", lambda model: ~model.goal_mask)
         solution = solve(problem)
     assert solution.objective == 0.0
@@ -282,7 +282,7 @@ def test_any_price_leads_to_the_optimum(price, tmp_path):
     [
         (MCMP(ROAD, "road", reach_fraction=0.9, discount=0.99), "MCMP with reach_fraction"),
         (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: it asks for a tail mean: certify"),
-        (few("crash"), "MCMP: it counts what follows failing: certify"),
+        (few("crash"), "MCMP: it counts quantities after failing: certify"),
     ],
 )
 def test_what_is_not_covered_is_named(solution, words, tmp_path):
@@ -400,7 +400,7 @@ CHANGES = [
     ("a greater price", "budget", HEAD, _set("prices", 0, to="1000"), ""),
     ("a smaller price", "budget", HEAD, _set("prices", 0, to="1"), "v <= "),
     ("a unit", "budget", HEAD, _set("unit", to=1), "v <= |u >= "),
-    ("no unit", "budget", HEAD, _set("unit", to=0), "no whole number below"),
+    ("no unit", "budget", HEAD, _set("unit", to=0), "not a whole number below"),
     ("a cap", "given", HEAD, _set("cap", to="0"), "v <= |u >= |v is stated|decides|columns"),
     ("a ratio that is claimed", "given", HEAD, _set("ratio", to="7"), "objective >= ratio"),
     ("a greater ratio", "given", HEAD, _set("ratio", to="1000000"), "price of failure >= ratio"),
@@ -412,7 +412,7 @@ CHANGES = [
     ("a decision", "sure", NODE, _set(2, 1, to=3), "decides on a column"),
     ("a vector", "budget", NODE, _set(2, 3, to="0"), "u >= c"),
     ("the steps", "worth", NODE, _set(2, 2, to=0), "t >= 1"),
-    ("a member", "sure", NODE, _set(2, 0, to=7), "no whole number below"),
+    ("a member", "sure", NODE, _set(2, 0, to=7), "not a whole number below"),
     ("a node", "sure", NODE, _set(0, to=0), "nodes come in their order"),
     ("a node alone", "sure", NODE, lambda c: c.__setitem__(slice(1, 9), [None]), "nodes come"),
     ("a member's second line", "sure", NODE, lambda c: c.append(c[-1]), "twice told of"),
@@ -481,8 +481,8 @@ def test_lines_that_are_dropped_or_exchanged(folder, tmp_path, name):
         ("discount", "0", "a discount lies in"),
         ("discount", 0, "no text of a number"),
         ("discount", False, "no text of a number"),
-        ("horizon", "3", "no whole number"),
-        ("horizon", -1, "no whole number"),
+        ("horizon", "3", "not a whole number"),
+        ("horizon", -1, "not a whole number"),
         ("give_up", "never", "give_up is never"),
         ("greatest", 1, "greatest is 1"),
         ("failure", {"share": "2"}, "a share is a probability"),

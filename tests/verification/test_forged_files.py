@@ -326,7 +326,7 @@ NEITHER = [
     ([STEP, GOAL], {"start": [["2", 0], ["-1", 1]]}, "the start is a distribution"),
     ([STEP, GOAL], {"start": [["0", 0]]}, "the start is a distribution"),
     ([STEP, GOAL], {"start": []}, "the start is a distribution"),
-    ([STEP, GOAL], {"start": [["1", 2]]}, "no whole number below 2"),
+    ([STEP, GOAL], {"start": [["1", 2]]}, "not a whole number below 2"),
     ([STEP, GOAL], {"give_up": "never"}, "give_up is never"),
     ([RISK, GOAL, DEAD], {"failure": "0", "start": [["1", 0], ["1", 1]]},
      "the goal can be reached surely, fails"),
@@ -336,7 +336,7 @@ NEITHER = [
     ([STEP, GOAL], {"objective": counting("-1", "cost", 0)}, "costs and visits count >= 0"),
     ([STEP, GOAL], {"objective": counting("-1", "visits", "goal")}, "costs and visits count >= 0"),
     ([STEP, GOAL], {"greatest": True}, "count >= 0"),
-    ([STEP, GOAL], {"objective": counting("1", "cost", 1)}, "no whole number below 1"),
+    ([STEP, GOAL], {"objective": counting("1", "cost", 1)}, "not a whole number below 1"),
     ([{**STEP, "sets": ["s"]}, GOAL], {"sets": ["s"], "objective": counting("1", "end", "s")},
      "not all states end"),
     ([STEP, GOAL], {"objective": counting("1", "end", "s")}, "there is no set"),
@@ -359,9 +359,9 @@ NEITHER = [
     ([state(go=([["1", 1], ["1", 1]], [["2", "-1"]])), GOAL], {}, "costs >= 0"),
     ([state(go=([["1", 1]], [["1", "2"]])), GOAL], {}, "costs >= 0"),
     ([state(go=([["1", 1]], [])), GOAL], {}, "costs of s go"),
-    ([state(go=([["1", 1]], 63 * ["1"])), GOAL], {"costs": 63}, "63 is no whole number below 63"),
-    ([state(go=([["1", 2]], ["1"])), GOAL], {}, "no whole number below 2"),
-    ([state(go=([["1", True]], ["1"])), GOAL], {}, "no whole number below 2"),
+    ([state(go=([["1", 1]], 63 * ["1"])), GOAL], {"costs": 63}, "63 is not a whole number below"),
+    ([state(go=([["1", 2]], ["1"])), GOAL], {}, "not a whole number below 2"),
+    ([state(go=([["1", True]], ["1"])), GOAL], {}, "not a whole number below 2"),
 ]  # fmt: skip
 
 
@@ -436,7 +436,7 @@ def test_a_far_horizon_is_no_work_for_a_small_file(lines, steps, tmp_path):
     began = process_time()
     told = one_step(lines=lines)
     reason = said(tmp_path / "x", [LOOP, GOAL], told, horizon=steps)
-    words = "horizon is too far", "no whole number below", "ends within a proof"
+    words = "horizon is too far", "not a whole number below", "ends within a proof"
     assert any(word in reason for word in words)
     assert process_time() - began < SECONDS
 

@@ -29,7 +29,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import DeadEnds
 
-_NUMBER = r"[0-9]{1,18}", "{name} is followed by {value!r}, which is no number"
+_NUMBER = r"[0-9]{1,18}", "{name} is followed by {value!r}, which is not a number"
 _SECTIONS = {
     "@type": ("(?i:MDP|DTMC)", "models of type {value!r} are not read, only MDP and DTMC"),
     "@value_type": (
@@ -238,7 +238,7 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
         start: the initial state.
 
     Raises:
-        ModelError: the start is no state, or a label cannot be written.
+        ModelError: the start is not a state, or a label cannot be written.
     """
     write_archive(path, _drn_text(exported(model, start)))
 

@@ -65,7 +65,7 @@ def parse_json(
     except ModelError:
         raise
     except (ValueError, RecursionError) as error:
-        raise ModelError(f"{source} is no JSON: {error}") from error
+        raise ModelError(f"{source} is not JSON: {error}") from error
     if not isinstance(table, dict):
         raise ModelError(f"{source} must contain {_TABLE}")
     if isinstance(table.get("format"), str):
@@ -254,7 +254,7 @@ def model_in_json(
     """
     names = [str(state) for state in model.states]
     if len(set(names)) < len(names):
-        raise ModelError("two states of the model have equal words: rename one of them")
+        raise ModelError("two states of the model are written alike: rename one of them")
     idle = np.diff(model.pair_offsets) == 0
     stated: dict[str, Any] = {
         "goal": [names[k] for k in model.goal_mask.nonzero()[0].tolist()],
@@ -279,7 +279,7 @@ def model_in_json(
         for pair in model.pairs_of(state):
             action = str(model.action_names[int(model.pair_action[pair])])
             if action in rows:
-                raise ModelError(f"two actions of state {name!r} read {action!r} as words")
+                raise ModelError(f"two actions of state {name!r} are written {action!r}")
             part = slice(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
             rows[action] = [
                 [chance, names[to], paid(costs)]

@@ -43,7 +43,7 @@ _BROKEN = (
     UnicodeDecodeError, EOFError, gzip.BadGzipFile, zlib.error, lzma.LZMAError, tarfile.TarError,
     zipfile.BadZipFile, NotImplementedError,
 )  # fmt: skip
-"""Errors of a file that is no text, or cannot be unpacked."""
+"""Errors of a file that is not a text, or cannot be unpacked."""
 
 
 @contextmanager
@@ -67,7 +67,7 @@ def opened_text(path: Path, what: str = "text") -> Iterator[TextIO]:
 
 @contextmanager
 def broken_files_named(path: Path, what: str) -> Iterator[None]:
-    """Turn errors of a file that cannot be unpacked, or is no text, into :class:`ModelError`."""
+    """Turn errors of a file that cannot be unpacked, or is not a text, into :class:`ModelError`."""
     try:
         yield
     except _BROKEN as error:
@@ -135,7 +135,7 @@ class TextFile:
     def integer(self, word: str) -> int:
         """Return a word of a text file as a whole number of 64 bits, or :class:`ModelError`."""
         if not WHOLE.fullmatch(word):
-            raise self.fault(f"{word[:60]!r} is no whole number")
+            raise self.fault(f"{word[:60]!r} is not a whole number")
         return int(word)
 
     def float(self, word: str) -> float:
@@ -145,11 +145,11 @@ class TextFile:
         try:
             return int(above) / int(below) if slash else float(plain)
         except (ValueError, ArithmeticError) as error:
-            raise self.fault(f"{word[:60]!r} is no number") from error
+            raise self.fault(f"{word[:60]!r} is not a number") from error
 
 
 def write_text(path: FilePath, pieces: Iterable[str]) -> None:
-    """Write a model's text file piece by piece; by gzip if the name ends in .gz."""
+    """Write a model's text file piece by piece, packed by gzip if the name ends in .gz."""
     place = Path(path)
     opener: Any = partial(gzip.open, compresslevel=_GZIP_LEVEL) if place.suffix == ".gz" else open
     with opener(place, "wt", encoding="utf-8", newline="\n") as file:
@@ -340,7 +340,7 @@ class ModelFile:
 def finished(
     raw: RawModel, goal: str, source: object, dead_ends: DeadEnds | None = None
 ) -> ModelFile:
-    """Make a model of a raw model whose goal states have a label.
+    """Build the model from raw arrays, with the states of a label as goals.
 
     Actions of goal states are dropped. If no action leaves a state with the label "deadlock", its
     actions are dropped: it is a dead-end. States that only pay the rest of a cost are removed.
@@ -372,7 +372,7 @@ def finished(
 
 
 def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP:
-    """Return the model of a raw model, dropping actions of goals and of absorbing idle states.
+    """Build the model from raw arrays, without actions of goals and of absorbing idle states.
 
     Raises:
         ModelError: naming the source, the state and the action at fault.
@@ -446,7 +446,7 @@ def exported(model: SSP, start: Hashable) -> Exported:
         start: the state that is labelled "init".
 
     Raises:
-        ModelError: the start is no state, or a label cannot be written.
+        ModelError: the start is not a state, or a label cannot be written.
     """
     occurs = model.probabilities > 0.0
     pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))[occurs]
@@ -530,7 +530,7 @@ def _exported_labels(
 ) -> Mapping[str, IntArray]:
     """Return the labels of an exported raw model, with those that have a meaning in files."""
     if isinstance(start, Mapping):
-        raise ModelError("such files need one start state: name it, or add one that draws it")
+        raise ModelError("such files need one start state: name it, or add a state that draws it")
     goals = np.flatnonzero(model.goal_mask)
     labels = {
         INITIAL: np.array([model.index_of(start)]),

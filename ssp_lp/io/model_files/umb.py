@@ -247,7 +247,7 @@ class UmbArchive:
         try:
             index = json.loads(self._files.get(_INDEX, b"").decode())
         except (ValueError, RecursionError) as error:
-            raise self._fault(f"its {_INDEX} is no JSON: {error}") from error
+            raise self._fault(f"its {_INDEX} is not JSON: {error}") from error
         if not isinstance(index, dict) or index.get("format-version") != _FORMAT:
             raise self._fault(f"its {_INDEX} is not of version {_FORMAT}")
         return index
@@ -290,7 +290,7 @@ class UmbArchive:
         return bits.astype(np.bool_)
 
     def _offsets(self, name: str, n_targets: int) -> IntArray:
-        """Return the offsets of each entry's targets, [entries + 1]; one each without file."""
+        """Return the offsets of each entry's targets, [entries + 1]; by default one each."""
         if name not in self._files:
             return np.arange(n_targets + 1)
         offsets = self._array(name, "<i8", self._size(name, 8))
@@ -328,7 +328,7 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
         start: the initial state.
 
     Raises:
-        ModelError: the start is no state, or a label cannot be written.
+        ModelError: the start is not a state, or a label cannot be written.
         OSError: the file cannot be written.
     """
     process = exported(model, start)

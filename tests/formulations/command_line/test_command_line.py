@@ -144,7 +144,7 @@ def test_files_and_parsers_that_refuse(tmp_path: Path, roads: Path, refused: Any
     refused("info", tmp_path / "none.json", "--goal", "g")
     with pytest.raises(ModelError, match=r"must end in one of \.json"):
         read_any(tmp_path / "roads.txt", ["g"])
-    refused("info", written(tmp_path, "{"), "--goal", "home", complaint="is no JSON")
+    refused("info", written(tmp_path, "{"), "--goal", "home", complaint="is not JSON")
     numbers = read_any(written(tmp_path, {"0": {"go": [[1, 1, 2.5]]}}), ["1"]).model
     assert list(numbers.states) == ["0", "1"]
 
@@ -244,10 +244,10 @@ def test_limits_in_words(tmp_path: Path, told: Told, refused: Any) -> None:
         ("--failure-budget 5", "--failure-budget must be a probability, not 5.0; did you mean 0.0"),
         ("--criterion maxprob --failure-budget .1", "has no"),
         ("--limit fuel", "a limit is a quantity"),
-        ("--limit oil<=3", "'oil' is no quantity of this model; quantities are 'cost'"),
-        ("--limit fuel<=x", '"x" in "fuel<=x" is no number'),
-        ("--limit x*fuel<=3", "is no number"),
-        ("--limit visits(home<=3", "is no sum of quantities"),
+        ("--limit oil<=3", "'oil' is not a quantity of this model; quantities are 'cost'"),
+        ("--limit fuel<=x", '"x" in "fuel<=x" is not a number'),
+        ("--limit x*fuel<=3", "is not a number"),
+        ("--limit visits(home<=3", "is not a sum of quantities"),
         ("--limit visits(depto)<=3", "depto"),
         ("--penalty 3", "mcmp has no --penalty; its options: --failure-budget"),
         ("--criterion cvar", "cvar needs --level"),
@@ -459,8 +459,8 @@ def test_several_budgets_make_a_table(roads: Path, run: Run, told: Told, refused
         ("sovle", "'sovle'"),
         ("solve", "MODEL"),
         ("solve x.json --criterion mcpm", "'mcpm'"),
-        ("solve x.json --failure-budget 5%%", "'5%%' is no number"),
-        ("solve x.json --failure-budget %", "'%' is no number"),
+        ("solve x.json --failure-budget 5%%", "'5%%' is not a number"),
+        ("solve x.json --failure-budget %", "'%' is not a number"),
         ("solve x.json --quiet --verbose", "not allowed with"),
         ("frontier x.json --json --csv", "not allowed with"),
         ("solve x.json --gaol home", "--gaol"),
@@ -595,7 +595,7 @@ def test_a_certain_goal_is_asked_for_at_least_cost(tmp_path: Path, told: Told) -
         ('multi(Rmin=? [F "ok"], P>=0.9 [F "lost"])', "one goal must be reached"),
         ('multi(Pmax=? [F "ok"], R{"fuel"}>=2 [C])', "an upper bound only"),
         ('multi(Pmax=? [F "ok"], P>= [F "ok"])', "need a number"),
-        ('multi(Pmax=? [F "ok"], P>=x [F "ok"])', "'x' is no number"),
+        ('multi(Pmax=? [F "ok"], P>=x [F "ok"])', "'x' is not a number"),
         ("multi(Rmin=? [C], P>=0.9 [C])", "P needs a target"),
         ('multi(Pmax=? [F<=3 "ok"], P>=0.5 [F "ok"])', "the same number of steps"),
         ('multi(R{"fuel"}min=? [C], P>=0.9 [F "ok"])', "--cost contradicts the property"),

@@ -113,15 +113,15 @@ EXPLICIT = {"format": "explicit-mdp-v1", "init": 0, "goal": [1]}
 @pytest.mark.parametrize(
     ("table", "complaint"),
     [
-        ("{", "is no JSON"),
-        pytest.param("[" * 100_000, "is no JSON", id="nested-too-deeply"),
+        ("{", "is not JSON"),
+        pytest.param("[" * 100_000, "is not JSON", id="nested-too-deeply"),
         ([1], "must contain"),
         ({"a": [1]}, "state 'a' needs"),
         ({"a": {"go": [[1, "home"]]}}, "action 'go' of state 'a'"),
         ({"a": {"go": [[1, ["home"], 1]]}}, "action 'go' of state 'a'"),
         ({"a": {"go": [[1, "hoem", 1]]}}, "did you mean 'hoem'"),
-        ({"a": {"go": [[1, "home", "x"]]}}, "no number"),
-        ({"a": {"go": [[1, "home", "1/0"]]}}, "no number"),
+        ({"a": {"go": [[1, "home", "x"]]}}, "not a number"),
+        ({"a": {"go": [[1, "home", "1/0"]]}}, "not a number"),
         ({"a": {"go": [[1, "home", -1]]}}, "negative cost"),
         ('{"a": {"go": [[1, "home", 1]]}, "a": {}}', "'a' occurs twice"),
         ({"goal": [], "transitions": []}, "'transitions' must be an object"),
@@ -142,4 +142,4 @@ def test_what_is_broken_is_refused(table, complaint):
 )
 def test_what_is_no_text_is_no_json(name, content, tmp_path):
     (tmp_path / name).write_bytes(content)
-    refused("is no JSON", read_json, tmp_path / name, ["home"])
+    refused("is not? JSON", read_json, tmp_path / name, ["home"])

@@ -66,12 +66,12 @@ def test_a_name_that_cannot_be_kept_is_named(name, tmp_path):
     [
         ({}, {"costs": None}, "costs is missing"),
         ({"version": 2}, {}, r"version 2, .* install a newer"),
-        ({"format": "something else"}, {}, "no ssp-lp model file"),
+        ({"format": "something else"}, {}, "not an ssp-lp model file"),
         ({}, {"costs": np.array([{}], dtype=object)}, "another type"),
         ({}, {"successors": np.zeros((2, 2), dtype=np.int32)}, "another type"),
         ({}, {"probabilities": np.ones(1)}, "probabilities must have length"),
         ({"states": ["depot"]}, {}, "names of states"),
-        ({"exact_costs": [[0.5, "1e999999999"]]}, {}, "no fraction"),
+        ({"exact_costs": [[0.5, "1e999999999"]]}, {}, "not a fraction"),
     ],
 )
 def test_archives_that_are_none_are_refused_by_name(texts, arrays, message, tmp_path):
@@ -86,7 +86,7 @@ def test_archives_that_are_none_are_refused_by_name(texts, arrays, message, tmp_
 
 def test_an_array_cannot_claim_more_than_is_there(tmp_path):
     (tmp_path / "none.npz").write_bytes(b"no archive")
-    refused("no ssp-lp model file", load_model, tmp_path / "none.npz")
+    refused("not an ssp-lp model file", load_model, tmp_path / "none.npz")
     save_model(FIRST, tmp_path / "m.npz")
     head, claim = io.BytesIO(), {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
     np.lib.format.write_array_header_1_0(head, claim)
@@ -158,16 +158,16 @@ def test_a_drn_text_reads_as_it_should(tmp_path):
         ("@parameters\n", "@parameters\np", "line 5: a model with parameters"),
         ("@model", "@nr_states\n4\n@model", "@nr_states occurs twice"),
         ("\n4\n", "\n1000000000000000\n", "the header says 1000000000000000 states"),
-        ("\n4\n", "\n-4\n", "is no number"),
+        ("\n4\n", "\n-4\n", "is not a number"),
         ("\n4\n", "\n3\n", "there is no state 3"),
         ("\n5\n@model", "\n6\n@model", "and 6 choices"),
         ("1 : 0.5", "1 : 0.6", "action 'go' of state 0: probabilities sum to 1.1"),
-        ("1 : 0.5", "1 : half", "line 15: 'half' is no number"),
-        ("1 : 0.5", "1 : 1/0", "line 15: '1/0' is no number"),
+        ("1 : 0.5", "1 : half", "line 15: 'half' is not a number"),
+        ("1 : 0.5", "1 : 1/0", "line 15: '1/0' is not a number"),
         ("1 : 0.5", "1 : [0.4, 0.5]", "line 15: a transition must be"),
         ("1 : 0.5", "1 0.5 :", "line 15: a transition must be"),
-        ("1 : 0.5", "1_0 : 0.5", "line 15: '1_0' is no whole number"),
-        ("1 : 0.5", "99999999999999999999 : 0.5", "line 15: .* is no whole number"),
+        ("1 : 0.5", "1_0 : 0.5", "line 15: '1_0' is not a whole number"),
+        ("1 : 0.5", "99999999999999999999 : 0.5", "line 15: .* is not a whole number"),
         ("[0.2, 1]", "[0.2]", "line 14: 1 rewards for 2"),
         ("[0.2, 1]", "[-1, 1]", "action 'go' of state 0 has a negative cost"),
         ("[0.2, 1]", "[nan, 1]", "action 'go' of state 0 has a cost that is NaN"),

@@ -119,7 +119,7 @@ def changed_system(**changes):
 @pytest.mark.parametrize(
     ("index", "files", "message"),
     [
-        (None, {}, "index.json is no JSON"),
+        (None, {}, "index.json is not JSON"),
         ({**INDEX, "format-version": 2}, {}, "not of version 1"),
         ({"format-version": 1}, {}, "'transition-system', of type dict"),
         (changed_system(time="stochastic"), {}, "only MDPs and DTMCs"),
