@@ -543,6 +543,7 @@ def _solved_in_time(problem: Problem) -> OccupationMeasure:
             raise Stop from error
         raise
     if (measure.reduced or measure).basis is None:
+        check_time()  # the limit may have cut the solver short of a vertex
         raise SolverError("the program was solved by interior points alone, whose prices are rough")
     return measure
 
