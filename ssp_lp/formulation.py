@@ -258,7 +258,8 @@ class Formulation(Problem):
 
         The horizon is unchanged; without such limits this is the formulation itself.
         """
-        if not (self.constraints or self.own_constraints) and self.quantity is None:
+        stated, own = self.constraints, self.own_constraints
+        if isinstance(stated, Mapping) and not (stated or own) and self.quantity is None:
             return self
         model, begin = self.model, cast("IntArray", np.flatnonzero(self._begun))
         shares = self._begun[begin].tolist()

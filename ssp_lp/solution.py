@@ -380,7 +380,7 @@ class Solution(Facts, ReadOnlyCopies):
         discount = self.problem.discount
         setting = "exact" if discount is None else f"discount {discount:g}"
         horizon = self.problem.horizon
-        within = "" if horizon is None else f", within {horizon:,} steps"
+        within = "" if horizon is None else f", within {horizon:,} step{'s' * (horizon > 1)}"
         return f"{type(self.problem).__name__}, {self._asked}{within}, {setting}"
 
     def tables(self) -> list[Table]:

@@ -175,6 +175,13 @@ def test_links_pictures_and_files_that_are_named_are_there(page):
 
 
 @pytest.mark.parametrize("page", PAGES)
+def test_lists_in_lists_are_nested_on_the_site(page):
+    """An item that is indented by fewer than 4 blanks would continue the outer list there."""
+    text = re.sub(r"^```.*?^```$", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
+    assert re.findall(r"^ {1,3}(?:[-*]|\d+\.) .*$", text, flags=re.MULTILINE) == []
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_formulas_survive_every_reader_of_markdown(page):
     """Nothing in them can be taken for emphasis, an escape, a tag or the end of a table's cell.
 

@@ -86,6 +86,7 @@ def test_a_sound_site_has_no_problems(build, tmp_path, body):
         '<script src="//x.org/a.js"></script>',
         "costs 5 $",
         "<goal, x>",
+        "<blockquote>= 0.</blockquote>",
     ],
 )
 def test_each_kind_of_error_is_found(build, tmp_path, body):

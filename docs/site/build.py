@@ -168,8 +168,10 @@ def check(site: Path) -> list[str]:
 
 
 def _leftovers(text: str) -> Iterator[str]:
-    """Yield what a browser would take for a tag, <goal, x>, and every lone $."""
+    """Yield what a browser would take for a tag, <goal, x>, every lone $, and quotations."""
     for article in _ARTICLE.findall(text):
+        if "<blockquote" in article:
+            yield "a line that begins with > has become a quotation"
         for found in re.finditer(r"<[a-z_ ]+,[^<]{0,20}", article):
             yield f"{found[0]} stands outside of code"
         for found in re.finditer(r".{0,30}\$.{0,30}", _CODE.sub("", article)):

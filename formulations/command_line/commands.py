@@ -118,7 +118,7 @@ def _model_of_environment(asked: Namespace) -> _CommandModel:
     try:
         environment = gymnasium.make(name, **arguments)
     except (gymnasium.error.Error, TypeError, KeyError, ModuleNotFoundError) as error:
-        raise ModelError(f"Gymnasium makes no environment of {asked.model!r}: {error}") from error
+        raise ModelError(f"Gymnasium cannot make {asked.model!r}: {error}") from error
     world = io.from_gymnasium(
         environment,
         goal=[_value_for_model(word) for word in asked.goal] or None,
@@ -180,7 +180,7 @@ def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
     for words in asked.limit:
         match = _LIMIT.fullmatch(words.strip())
         if match is None:
-            raise ModelError(f'a limit is a quantity, <=, >= or ==, and a number, not "{words}"')
+            raise ModelError(f'a limit is written "QUANTITY <= NUMBER" (or >=, ==), not "{words}"')
         name, compared = match["words"], _SIGNS[match["sign"]]
         constraint = compared(_problem_quantity(name, of), _problem_number(match["bound"], words))
         limits[words if name in {"failure", *limits} else name] = constraint
@@ -410,9 +410,9 @@ def _several_answers(
     Raises:
         ModelError: an output that belongs to a single answer.
     """
-    for name in ("policy_out", "certificate_out", "plot"):
-        if getattr(asked, name) is not None:
-            raise ModelError(f"{option(name)} is of one answer: give one --failure-budget")
+    for name in ("policy_out", "certificate_out", "plot", "show_policy"):
+        if getattr(asked, name):
+            raise ModelError(f"{option(name)} needs a single answer: give one --failure-budget")
     problems = [problem_of(_asking(asked, failure_budget=budget), of) for budget in budgets]
     executor = ThreadPoolExecutor(1) if of.model.n_outcomes < _WORTH_PROCESSES else None
     answers = ssp_lp.solve_many(problems, asked.method, executor=executor, **search)

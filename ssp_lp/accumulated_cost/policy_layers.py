@@ -237,7 +237,7 @@ class LayerMoves:
             yield layer, here, pairs, visits
 
     def is_soon_followed(self, least_nodes: int) -> bool:
-        """Whether following the layers takes no longer than writing out the policy's chain.
+        """Return whether following the layers takes no longer than writing out the policy's chain.
 
         Args:
             least_nodes: states times layers from which the layers count as fast.

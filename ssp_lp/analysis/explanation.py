@@ -93,9 +93,16 @@ def explanation(
     total = next(iter(costs), None) if cost_paid is None else cost_paid
     columns = np.array([k for k, label in labels.items() if label.cost == total], dtype=np.int64)
     if len(np.unique(process.pair_state[columns])) != 1:
+        if not labels:
+            raise ModelError(
+                f"the solution has no decision in {state!r}: it is a goal, a dead-end, or "
+                "out of reach from the start"
+            )
         some = [f"{label.state!r}{label.paid}" for label in labels.values()]
-        there = f"; there is {' and '.join(dict.fromkeys(some[:3]))}" if some else ""
-        raise ModelError(f"the solution has no decision in {state!r} alone, at cost {total}{there}")
+        there = " and ".join(dict.fromkeys(some[:3]))
+        raise ModelError(
+            f"the solution has no single decision in {state!r} at cost {total}; there is {there}"
+        )
     names, weights, rewards = zip(*_counted_quantities(program, prices, ratio), strict=True)
     amounts = _following(values, np.stack(rewards))[:, columns]
     worth = np.array(weights) @ amounts

@@ -29,7 +29,14 @@ from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import FloatArray, IntArray, entries_of
 from ssp_lp.compiled.deadline import Stop, check_time, is_late, limited, seconds_left
 from ssp_lp.dynamic_programming.equations import System
-from ssp_lp.errors import InfeasibleError, ModelError, SolverError, SSPError, optional_module
+from ssp_lp.errors import (
+    InfeasibleError,
+    ModelError,
+    SolverError,
+    SSPError,
+    did_you_mean,
+    optional_module,
+)
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
 from ssp_lp.model.product import ProductSSP
@@ -536,6 +543,7 @@ def _solved_in_time(problem: Problem) -> OccupationMeasure:
             raise Stop from error
         raise
     if (measure.reduced or measure).basis is None:
+        check_time()  # the limit may have cut the solver short of a vertex
         raise SolverError("the program was solved by interior points alone, whose prices are rough")
     return measure
 
@@ -630,13 +638,25 @@ class WhatIf(Report):
             return None, f"{side}: the derivative disagrees with optima nearby"
         return float(slope), ""
 
-    def breakpoints(self, number: Number | Change) -> tuple[float, float]:
+    def breakpoints(self, number: str | Number | Change) -> tuple[float, float]:
         """Return the steps to the left and to the right up to which the same actions are optimal.
 
         They are found by bisection, to a relative accuracy of 1e-6, on solutions of the program:
         the number may move by any step between the two without a change of the lottery's actions;
         at a kink one of them is 0. They end where a number is 0, or at 1,000.
+
+        Args:
+            number: a name in the table, such as "failure budget", a number or a change.
+
+        Raises:
+            ModelError: the table has no number of this name.
         """
+        if isinstance(number, str):
+            names = {effect.number.name: effect.number for effect in self.effects}
+            if number not in names:
+                told = did_you_mean(number, names, "there are")
+                raise ModelError(f"the table has no number {number!r}{told}")
+            number = names[number]
         change = number.change if isinstance(number, Number) else number
         return -self._reach(change, -1.0), self._reach(change, 1.0)
 

@@ -46,7 +46,7 @@ class PartitionedPolicy(ReadOnlyCopies):
 
         Raises:
             ModelError: the weights are no distribution, or a decision is not an action of its
-            state.
+                state.
         """
         weights, decision = self.weights, np.full(self.part.n_states, UNDECIDED)
         if not (weights.min(initial=1.0) >= 0.0 and abs(weights.sum() - 1.0) <= 1e-9):

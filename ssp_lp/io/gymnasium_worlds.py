@@ -109,7 +109,8 @@ class EnvironmentSSP(SSP):
         if state not in self.successors[slice(*self.outcome_offsets[pair : pair + 2].tolist())]:
             raise ModelError(
                 f"{self.describe_pair(pair)} led to {self.states[state]!r}, which the "
-                "environment's table does not list: env.unwrapped.P is incomplete"
+                "policy's model does not list: the environment is another one than the model's, or "
+                "env.unwrapped.P is incomplete"
             )
 
 

@@ -428,7 +428,7 @@ class Frontier(Report):
                 f"{budget!r}{more}"
             )
         if not budget >= lowest - LEAST_BUDGET:
-            told = "fails with" if self.over == FAILURE_ROW else f"has {self.over!r} of"
+            told = "fails with probability" if self.over == FAILURE_ROW else f"has {self.over!r} of"
             raise InfeasibleError(
                 f"every policy {told} at least {lowest:.12g}, above the budget {budget!r}",
                 failure_budget=budget if self.over == FAILURE_ROW else None,

@@ -97,7 +97,7 @@ def program_of(
                 rows.append(ProgramRow(name, takes, float(bound), words or name))
     asked = "least failure" if budget is None else f"failure budget {budget:g}"
     discount = "" if inner.discount is None else f", discount {inner.discount:g}"
-    within = "" if horizon is None else f", within {horizon:,} steps"
+    within = "" if horizon is None else f", within {horizon:,} step{'s' * (horizon > 1)}"
     return OccupationProgram(
         title=f"{type(inner).__name__}, {asked}{discount}{within}",
         objective=_objective_word(inner, compiled),

@@ -64,6 +64,7 @@ DeadEnds = str | StateSet
 ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names of the ways in which an episode ends, in reports."""
 
+_ENDS_THERE = "if runs end there, name it in dead_ends; the states:"
 _UNHASHABLE = "list, dict, set or array: write tuple(array.tolist())"
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
@@ -992,7 +993,7 @@ class FlatModel:
                         raise ModelError(
                             f"action {action!r} of state {state!r} leads to {successor!r}, which "
                             "is neither a state of the model nor a goal"
-                            f"{did_you_mean(successor, states, 'the states:')}"
+                            f"{did_you_mean(successor, states, _ENDS_THERE)}"
                         )
                     place = index[successor] = len(states)
                     states.append(successor)

@@ -215,9 +215,9 @@ class Condition:
             if weight < 0.0:
                 if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
-                        f"constraint {self.name!r} bounds costs, visits or exceeding from below, "
-                        "which needs policies that randomise on the way: add a row to the linear "
-                        "program instead, if no costs are accumulated"
+                        f"constraint {self.name!r} bounds costs, visits or exceeds from below: "
+                        "add a row of your own to problem.program() instead (not with criteria of "
+                        "the total cost)"
                     )
                 offset -= weight
                 term, weight = replace(term, others=not term.others), -weight

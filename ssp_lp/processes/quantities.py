@@ -221,7 +221,10 @@ class Constraint:
         Raises:
             ModelError: always.
         """
-        raise ModelError("a constraint has no truth value: state two, each under its own name")
+        raise ModelError(
+            "a constraint has no truth value: write low <= quantity <= high as two constraints, "
+            "each under its own name"
+        )
 
 
 class QuantityFunction(Generic[_Given]):

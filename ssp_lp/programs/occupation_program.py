@@ -512,7 +512,7 @@ class OccupationProgram(Report):
         """Return the values of states at given prices of the rows.
 
         Args:
-            prices: >= 0, by name; a row that is not named has price 0.
+            prices: nonnegative prices by name; a row that is not named has price 0.
             ratio: in case S the reward for reaching the goal; c* if the prices are optimal.
 
         Raises:

@@ -56,6 +56,8 @@ def test_a_lottery_of_two_actions_has_its_closed_form():
 def test_breakpoints_are_where_an_action_leaves_the_lottery():
     report = solve(MCMP(depot(), "depot", 0.05)).what_if()
     low, high = report.breakpoints(by_name(report)["failure budget"].number)
+    assert report.breakpoints("failure budget") == (low, high)
+    refused("has no number 'budget'; did you mean 'failure budget'", report.breakpoints, "budget")
     assert (low, high) == pytest.approx((ROAD - 0.05, ALLEY - 0.05), abs=1e-5)
     low, high = report.breakpoints(by_name(report)["cost of road in depot"].number)
     assert low == pytest.approx(4.0 - 9.0, abs=1e-4)

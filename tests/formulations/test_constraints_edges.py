@@ -238,6 +238,9 @@ def test_what_is_refused_when_it_is_stated() -> None:
     ):
         with pytest.raises(ModelError, match=told):
             MCMP(LOOP, "a", 1.0, constraints=wrong)
+    without_name: Any = visits("a") <= 1.0
+    with pytest.raises(ModelError, match=r"constraints must be \{name: quantity <= bound\}"):
+        MCMP(LOOP, "a", 1.0, constraints=without_name)
     with pytest.raises(ModelError, match="no truth value"):
         assert 0.1 <= goal_probability() <= 0.5
     with pytest.raises(ModelError, match="finite numbers"):

@@ -362,7 +362,7 @@ IN_A_SHELL = [
         "solve roads.json --goal home --start depot --criterion maxprob --level 1/2",
         "has no --level",
     ),
-    ("solve roads.json --goal home --start depot --limit fuel", "a limit is a quantity"),
+    ("solve roads.json --goal home --start depot --limit fuel", "a limit is written"),
     ("solve roads.json --goal home --start depot --limit 'cost <= much'", '"much"'),
     ("solve roads.json --goal home --start depot --limit 'fuel <= 3'", "'fuel'"),
     ("solve roads.json --goal home --start depot --limit 'end(crash) <= 0'", "'crash'"),

@@ -243,7 +243,7 @@ def test_limits_in_words(tmp_path: Path, told: Told, refused: Any) -> None:
         ("--start deopt", "did you mean 'depot'"),
         ("--failure-budget 5", "--failure-budget must be a probability, not 5.0; did you mean 0.0"),
         ("--criterion maxprob --failure-budget .1", "has no"),
-        ("--limit fuel", "a limit is a quantity"),
+        ("--limit fuel", "a limit is written"),
         ("--limit oil<=3", "'oil' is not a quantity of this model; quantities are 'cost'"),
         ("--limit fuel<=x", '"x" in "fuel<=x" is not a number'),
         ("--limit x*fuel<=3", "is not a number"),
@@ -449,7 +449,8 @@ def test_several_budgets_make_a_table(roads: Path, run: Run, told: Told, refused
     assert answers[2] | {"seconds": 0} == {
         "failure_budget": 0.05, **told("solve", roads, *WITHIN), "seconds": 0,
     }  # fmt: skip
-    refused(*asked, "--policy-out", "x.npz", complaint="--policy-out is of one answer")
+    refused(*asked, "--policy-out", "x.npz", complaint="--policy-out needs a single answer")
+    refused(*asked, "--show-policy", complaint="--show-policy needs a single answer")
 
 
 @pytest.mark.parametrize(
