@@ -11,12 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import cast
 
 import numpy as np
 
 from ssp_lp.analysis.worst_case import worst_case
-from ssp_lp.arrays import LEAST_BUDGET, BoolArray, IntArray
+from ssp_lp.arrays import LEAST_BUDGET, IntArray
 from ssp_lp.column_generation.column import two_sided_gap
 from ssp_lp.column_generation.restricted_master import MasterOptimum
 from ssp_lp.column_generation.search import secant
@@ -27,10 +26,10 @@ from ssp_lp.model.boxes import Boxes
 from ssp_lp.model.report import Facts, Table
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy, Policy
 from ssp_lp.policies.boxed_chain import MOST_ROUNDS
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
+from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import Problem, check_boxed, check_problem
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
-from ssp_lp.reductions.robust import ending, settled, solved_at
+from ssp_lp.reductions.robust import completed, ending, settled, solved_at
 from ssp_lp.solving import solve
 
 
@@ -118,9 +117,7 @@ def tighten(
                 pool.adverse_price = at_worst.failure_price or 0.0
                 pool.add(decision)
                 for policy in as_lottery(at_worst.policy).policies:
-                    own = cast("DeterministicPolicy", policy).decision
-                    undecided = (own == UNDECIDED) | ((own == GIVE_UP_CODE) & ~pool.may_stop)
-                    pool.add(np.where(undecided, decision, own))
+                    pool.add(completed(policy, decision, pool.ends))
         return pool.tightened()
 
 
@@ -130,7 +127,7 @@ class _Pool:
 
     problem: Problem
     box: Boxes
-    may_stop: BoolArray  # whether a plan may give up against the boxes, [states]
+    ends: IntArray  # decisions that give up wherever a plan may, [states]
     plans: dict[tuple[float, float], Policy] = field(default_factory=dict)  # by their worst values
     lower_bound: float = 0.0
     adverse_price: float = 0.0  # of the last optimum at adverse probabilities
@@ -195,6 +192,6 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
             least_failure=least,
         )
     lost = (loss >= 1.0) & (decision >= 0)  # no policy earns anything there but costs
-    pool = _Pool(problem, box, ends == GIVE_UP_CODE)
+    pool = _Pool(problem, box, ends)
     pool.add(np.where(lost, ends, decision))
     return pool

@@ -12,14 +12,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from ssp_lp.analysis.evaluation import evaluate
-from ssp_lp.analysis.worst_case import worst_charges
+from ssp_lp.analysis.worst_case import worst_case, worst_charges
 from ssp_lp.arrays import (
     IMPROVEMENT,
+    LEAST_BUDGET,
     BoolArray,
     FloatArray,
     IntArray,
@@ -32,15 +33,16 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.deadline import check_time, limited
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.model.boxes import FORCED, Boxes, greatest_mean
-from ssp_lp.model.graph import attention_states, dead_ends
-from ssp_lp.policies import DeterministicPolicy
+from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
+from ssp_lp.policies import DeterministicPolicy, Policy
 from ssp_lp.policies.boxed_chain import MOST_ROUNDS, boxed_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
 from ssp_lp.problem import as_stated
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, start_distribution
+from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
 
-_BESIDE = 1e-10  # share of a step from nature's probabilities into the boxes
+_BESIDE = LEAST_BUDGET  # share of a step into the boxes: it changes failure by as much
 
 
 def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
@@ -91,6 +93,12 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
     model = at_worst.model
     policy, value = as_lottery(DeterministicPolicy(model, decision)), float(start @ loss)
     maximised = solution.upper_bound is not None
+    if not (maximised or semantics.forbids_failing):
+        # free actions that nature may repeat for ever, which no change of one decision leads to
+        ends, own = ending(boxes, semantics)[0], as_lottery(solution.policy).policies[0]
+        other = as_lottery(DeterministicPolicy(model, completed(own, decision, ends)))
+        if (better := worst_case(other, stated, boxes).objective) < value - LEAST_BUDGET * value:
+            policy, value = other, better
     objective = 1.0 - value if maximised else value
     upper = max(solution.upper_bound, objective) if solution.upper_bound is not None else None
     slack = solution.lower_bound - objective
@@ -145,6 +153,23 @@ def solved_at(
     within = boxes.low + share * room
     beside = solve(at_probabilities(problem, worst + _BESIDE * (within - worst)))
     return max(solution, beside, key=lambda one: one.lower_bound)
+
+
+def completed(policy: Policy, decision: IntArray, ends: IntArray) -> IntArray:
+    """Return a policy's decisions at nature's probabilities, completed for the boxes, [states].
+
+    Args:
+        policy: deterministic; undecided at dead-ends and giving up where these probabilities allow.
+        decision: used where it is undecided, or gives up although the boxes do not allow it; but a
+            free action that avoids the goal comes first.
+        ends: the decisions of :func:`ending`.
+    """
+    own, model = cast("DeterministicPolicy", policy).decision, policy.model
+    free = np.flatnonzero(attention_pairs(model, attention_states(model)) & costless_pairs(model))
+    waiting = np.array(decision)
+    waiting[model.pair_state[free]] = free
+    undecided = (own == UNDECIDED) | ((own == GIVE_UP_CODE) & (ends != GIVE_UP_CODE))
+    return np.where(undecided, waiting, own)
 
 
 def settled(

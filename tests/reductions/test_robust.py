@@ -111,6 +111,17 @@ def test_an_action_that_nature_can_repeat_for_ever_is_avoided(first):
     assert tighten(MCMP(model, "mud", failure_budget=0.0), boxes).objective == pytest.approx(4.0)
 
 
+def test_a_free_action_that_nature_can_repeat_for_ever_fails_at_worst():
+    ways = {"tow": [(1.0, "home", 9.0)], "wait": [(0.5, "home", 0.0), (0.5, "mud", 0.0)]}
+    model = SSP.from_transitions({"mud": ways}, goal={"home"})
+    boxes = Boxes(model, [1.0, 0.0, 0.0], np.ones(3))
+    problem = FinitePenalty(model, "mud", 4.0, give_up="attention")
+    solution = solve(replace(problem, box=boxes))
+    assert solution.policy.action("mud") == "wait"
+    assert solution.objective == pytest.approx(4.0)
+    assert solution.gap <= 1e-9
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_larger_problems_close_their_gap(seed):
     rng = np.random.default_rng(100 + seed)
