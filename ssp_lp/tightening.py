@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import cast
 
 import numpy as np
 
 from ssp_lp.analysis.worst_case import worst_case
+from ssp_lp.arrays import LEAST_BUDGET, IntArray
 from ssp_lp.column_generation.column import two_sided_gap
 from ssp_lp.column_generation.restricted_master import MasterOptimum
 from ssp_lp.column_generation.search import secant
@@ -29,7 +29,7 @@ from ssp_lp.policies.boxed_chain import MOST_ROUNDS
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import Problem, check_boxed, check_problem
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
-from ssp_lp.reductions.robust import at_probabilities, ending, settled
+from ssp_lp.reductions.robust import completed, ending, settled, solved_at
 from ssp_lp.solving import solve
 
 
@@ -112,14 +112,12 @@ def tighten(
         with WithIncumbent():
             for price in pool.prices(solve(problem).failure_price or 0.0, tolerance):
                 _, decision, worst, _ = settled(box, replace(semantics, penalty=price))
-                at_worst = solve(at_probabilities(problem, worst))
+                at_worst = solved_at(problem, box, worst, solve)
                 pool.lower_bound = max(pool.lower_bound, at_worst.lower_bound)
                 pool.adverse_price = at_worst.failure_price or 0.0
-                for policy in (
-                    DeterministicPolicy(problem.model, decision),
-                    *as_lottery(at_worst.policy).policies,
-                ):
-                    pool.add(policy)
+                pool.add(decision)
+                for policy in as_lottery(at_worst.policy).policies:
+                    pool.add(completed(policy, decision, pool.ends))
         return pool.tightened()
 
 
@@ -129,14 +127,15 @@ class _Pool:
 
     problem: Problem
     box: Boxes
+    ends: IntArray  # decisions that give up wherever a plan may, [states]
     plans: dict[tuple[float, float], Policy] = field(default_factory=dict)  # by their worst values
     lower_bound: float = 0.0
     adverse_price: float = 0.0  # of the last optimum at adverse probabilities
     tried: list[float] = field(default_factory=list)
 
-    def add(self, policy: Policy) -> None:
-        """Add a plan at its own worst cost and failure."""
-        policy = replace(cast("DeterministicPolicy", policy), model=self.problem.model)
+    def add(self, decision: IntArray) -> None:
+        """Add a plan, by its decisions, [states], at its own worst cost and failure."""
+        policy = DeterministicPolicy(self.problem.model, decision)
         worst = worst_case(policy, self.problem, self.box)
         if np.isfinite(worst.objective):
             self.plans.setdefault((worst.objective, worst.failure_probability), policy)
@@ -182,10 +181,10 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
     Raises:
         InfeasibleError: even this plan's worst failure probability exceeds the budget.
     """
-    budget, pool = problem.failure_budget, _Pool(problem, box)
+    budget, ends = problem.failure_budget, ending(box, problem.semantics)[0]
     loss, decision, *_ = settled(box, replace(problem.semantics, aim=Aim.GREATEST_GOAL))
     least = float(start_distribution(problem.model, problem.start) @ loss)
-    if budget is not None and least > budget:
+    if budget is not None and least > budget + LEAST_BUDGET:
         raise InfeasibleError(
             f"every policy fails with probability {least:.6g} at some probabilities in the boxes, "
             f"and the budget is {budget:.6g}: allow more, or collect more counts",
@@ -193,6 +192,6 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
             least_failure=least,
         )
     lost = (loss >= 1.0) & (decision >= 0)  # no policy earns anything there but costs
-    decision = np.where(lost, ending(box, problem.semantics)[0], decision)
-    pool.add(DeterministicPolicy(problem.model, decision))
+    pool = _Pool(problem, box, ends)
+    pool.add(np.where(lost, ends, decision))
     return pool

@@ -99,6 +99,35 @@ def test_closed_forms():
     assert "lower bound 2.5" in repr(found)
 
 
+def test_a_budget_of_the_least_failure_is_feasible_up_to_rounding():
+    ditch = {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)]}, "ditch": {}}
+    only = SSP.from_transitions(ditch, goal={"home"}, dead_ends={"ditch"})
+    boxes = Boxes(only, [0.5, 0.0], [1.0, 0.3])
+    found = tighten(MCMP(only, "road", failure_budget=0.3 - 5e-11), boxes)
+    assert found.objective == found.lower_bound == pytest.approx(1.0)
+    assert found.failure_probability == pytest.approx(0.3)
+
+
+def test_plans_decide_in_states_that_nature_turns_into_dead_ends():
+    model = SSP.from_transitions(
+        {
+            "road": {
+                "fast": [(0.5, "home", 1.0), (0.5, "swamp", 1.0)],
+                "safe": [(1.0, "home", 3.0)],
+            },
+            "swamp": {"wade": [(0.5, "home", 1.0), (0.5, "ditch", 1.0)]},
+            "ditch": {},
+        },
+        goal={"home"},
+        dead_ends={"ditch"},
+    )
+    boxes = Boxes(model, [0.5, 0.5, 1.0, 0.0, 0.0], [0.5, 0.5, 1.0, 1.0, 1.0])
+    found = tighten(MCMP(model, "road", failure_budget=0.4), boxes)
+    assert found.objective == pytest.approx(0.8 * 1.5 + 0.2 * 3.0)
+    assert found.failure_probability == pytest.approx(0.4)
+    assert found.gap <= 1e-8
+
+
 def test_what_is_not_supported_is_refused_by_name():
     only = SSP.from_transitions(
         {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)]}, "ditch": {}},

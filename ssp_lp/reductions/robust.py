@@ -12,32 +12,37 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from ssp_lp.analysis.evaluation import evaluate
-from ssp_lp.analysis.worst_case import worst_charges
+from ssp_lp.analysis.worst_case import worst_case, worst_charges
 from ssp_lp.arrays import (
     IMPROVEMENT,
+    LEAST_BUDGET,
     BoolArray,
     FloatArray,
     IntArray,
     first_minimisers,
     read_only,
+    segment_ids,
     segment_minima,
     segment_sums,
 )
 from ssp_lp.compiled.deadline import check_time, limited
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.model.boxes import FORCED, Boxes, greatest_mean
-from ssp_lp.model.graph import dead_ends
-from ssp_lp.policies import DeterministicPolicy
+from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
+from ssp_lp.policies import DeterministicPolicy, Policy
 from ssp_lp.policies.boxed_chain import MOST_ROUNDS, boxed_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
 from ssp_lp.problem import as_stated
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, start_distribution
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, start_distribution
+from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
+
+_BESIDE = LEAST_BUDGET  # share of a step into the boxes: it changes failure by as much
 
 
 def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
@@ -60,9 +65,9 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
         OutOfTimeError: the time limit passed before it converged.
     """
     began, boxes, semantics = time.perf_counter(), problem.box, problem.semantics
-    start = start_distribution(problem.model, problem.start)
+    start, goal = start_distribution(problem.model, problem.start), problem.model.goal_mask
     with limited(time_limit, "the worst probabilities were settled"):
-        losing = _losing(boxes)[0] if semantics.forbids_failing else None
+        losing = _losing(boxes, goal)[0] if semantics.forbids_failing else None
         if losing is not None and (lost := (start > 0.0) & (losing > 0)).any():
             state = problem.model.states[int(np.argmax(lost))]
             raise InfeasibleError(
@@ -74,13 +79,26 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
                 ),
             )
         loss, decision, worst, rounds = settled(boxes, semantics)
-    at_worst = at_probabilities(replace(problem, box=None, **as_stated(problem)), worst)
+    stated = replace(problem, box=None, **as_stated(problem))
+
+    def solve_in_time(at_worst: Any) -> Solution:
+        """Solve the problem at some probabilities in the time that is left."""
+        spent = time.perf_counter() - began
+        return solve(
+            at_worst, time_limit=None if time_limit is None else max(time_limit - spent, 0.0)
+        )
+
+    solution = solved_at(stated, boxes, worst, solve_in_time)
+    at_worst: Any = solution.problem
     model = at_worst.model
-    spent = time.perf_counter() - began
-    left = None if time_limit is None else max(time_limit - spent, 0.0)
-    solution = solve(at_worst, time_limit=left)
     policy, value = as_lottery(DeterministicPolicy(model, decision)), float(start @ loss)
     maximised = solution.upper_bound is not None
+    if not (maximised or semantics.forbids_failing):
+        # free actions that nature may repeat for ever, which no change of one decision leads to
+        ends, own = ending(boxes, semantics)[0], as_lottery(solution.policy).policies[0]
+        other = as_lottery(DeterministicPolicy(model, completed(own, decision, ends)))
+        if (better := worst_case(other, stated, boxes).objective) < value - LEAST_BUDGET * value:
+            policy, value = other, better
     objective = 1.0 - value if maximised else value
     upper = max(solution.upper_bound, objective) if solution.upper_bound is not None else None
     slack = solution.lower_bound - objective
@@ -106,6 +124,54 @@ def at_probabilities(problem: Any, probabilities: FloatArray) -> Any:
     return replace(problem, model=model, **as_stated(problem))
 
 
+def solved_at(
+    problem: Any, boxes: Boxes, worst: FloatArray, solve: Callable[[Any], Solution]
+) -> Solution:
+    """Solve a problem at nature's probabilities, whose bound holds against all of the boxes.
+
+    Probabilities of 0 may add dead-ends and attention states, where failing then costs less than
+    against the boxes. In that case the problem is also solved just beside, where every outcome of
+    the boxes is possible, and the solution of the greater bound is returned.
+
+    Args:
+        problem: the problem without ``box``.
+        boxes: boxes of its model.
+        worst: probabilities within the boxes, [outcomes].
+        solve: function that solves the problem at given probabilities.
+    """
+    at_worst, support = at_probabilities(problem, worst), boxes.support
+    solution, model = solve(at_worst), at_worst.model
+    semantics = problem.semantics
+    stops_early = semantics.aim is Aim.LEAST_COST and semantics.give_up is not GiveUp.ANYWHERE
+    if semantics.forbids_failing or not stops_early or all(
+        np.array_equal(states(model), states(support)) for states in (dead_ends, attention_states)
+    ):  # fmt: skip
+        return solution
+    pair, room = segment_ids(model.outcome_offsets), boxes.high - boxes.low
+    least, rooms = (segment_sums(part, model.outcome_offsets)[pair] for part in (boxes.low, room))
+    share = np.divide(1.0 - least, rooms, out=np.zeros_like(rooms), where=rooms > 0.0)
+    within = boxes.low + share * room
+    beside = solve(at_probabilities(problem, worst + _BESIDE * (within - worst)))
+    return max(solution, beside, key=lambda one: one.lower_bound)
+
+
+def completed(policy: Policy, decision: IntArray, ends: IntArray) -> IntArray:
+    """Return a policy's decisions at nature's probabilities, completed for the boxes, [states].
+
+    Args:
+        policy: deterministic; undecided at dead-ends and giving up where these probabilities allow.
+        decision: used where it is undecided, or gives up although the boxes do not allow it; but a
+            free action that avoids the goal comes first.
+        ends: the decisions of :func:`ending`.
+    """
+    own, model = cast("DeterministicPolicy", policy).decision, policy.model
+    free = np.flatnonzero(attention_pairs(model, attention_states(model)) & costless_pairs(model))
+    waiting = np.array(decision)
+    waiting[model.pair_state[free]] = free
+    undecided = (own == UNDECIDED) | ((own == GIVE_UP_CODE) & (ends != GIVE_UP_CODE))
+    return np.where(undecided, waiting, own)
+
+
 def settled(
     boxes: Boxes, semantics: FailureSemantics
 ) -> tuple[FloatArray, IntArray, FloatArray, int]:
@@ -126,7 +192,7 @@ def settled(
     top, ends = 0.0, np.where(model.goal_mask, 0.0, 1.0)
     decision = np.where(acting, model.pair_offsets[:-1], UNDECIDED)
     if semantics.forbids_failing:
-        rank, decision, usable = _losing(boxes)
+        rank, decision, usable = _losing(boxes, model.goal_mask)
         acting &= rank == 0
     elif not only_failing:
         decision, charges = ending(boxes, semantics)
@@ -160,49 +226,50 @@ def settled(
 
 
 def ending(boxes: Boxes, semantics: FailureSemantics) -> tuple[IntArray, FloatArray]:
-    """Return a policy that gives up wherever it may, and the charges of doing so.
+    """Return a policy that surely ends and gives up wherever it may, and the charges of doing so.
 
     Returns:
         Its decisions, [states]; worst charges of giving up, or of entering a dead-end, [states].
 
     Raises:
-        ModelError: nature can keep it from ever ending.
+        ModelError: nature can keep every policy from ever ending.
     """
     model = boxes.support
     acting = ~(model.goal_mask | dead_ends(model))
     stopping, entering = worst_charges(semantics, boxes)
     may_stop = acting & np.isfinite(stopping)
-    decision = np.where(acting, model.pair_offsets[:-1], UNDECIDED)
+    rank, decision, _ = _losing(boxes, ~acting | may_stop)
+    if rank.any():
+        state = model.states[int(np.argmax(rank > 0))]
+        raise ModelError(
+            f"state {state!r}: the boxes allow probabilities with which a run never ends: use "
+            "give_up='anywhere', or give the outcomes that lead to an end a low above 0"
+        )
     decision[may_stop] = GIVE_UP_CODE
-    if not may_stop[acting].all():
-        boxed = boxed_chain(boxes, DeterministicPolicy(model, decision), acting / acting.sum())
-        going_on = boxed.staying(boxed.acting)
-        if going_on.any():
-            state = model.states[int(boxed.chain.state[np.argmax(going_on)])]
-            raise ModelError(
-                f"state {state!r}: the boxes allow probabilities with which a run never ends: use "
-                "give_up='anywhere', or raise low above 0 for the outcomes that lead to an end"
-            )
     return decision, np.where(may_stop, stopping, entering)
 
 
-def _losing(boxes: Boxes) -> tuple[IntArray, IntArray, BoolArray]:
-    """Return the states from which nature can prevent every policy from surely reaching the goal.
+def _losing(boxes: Boxes, ends: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
+    """Return the states from which nature can prevent every policy from surely ending.
 
-    In rounds, states are added by pairs that nature cannot keep from the goal and the states added
+    In rounds, states are added by pairs that nature cannot keep from the ends and the states added
     before; the remaining states are lost, with the pairs that may lead there.
+
+    Args:
+        boxes: the boxes.
+        ends: states in which a run ends, such as the goals, [states].
 
     Returns:
         The round in which each state is lost, 0: never, [states]; a decision for the others that
-        surely reaches the goal, [states]; and the pairs that never lead to a lost state, [pairs].
+        surely reaches an end, [states]; and the pairs that never lead to a lost state, [pairs].
     """
     model = boxes.support
-    offsets, successors, goal = model.outcome_offsets, model.successors, model.goal_mask
-    rank = dead_ends(model).astype(np.int64)
+    offsets, successors = model.outcome_offsets, model.successors
+    rank = (dead_ends(model) & ~ends).astype(np.int64)
     while True:
         kept = rank == 0
         usable = segment_sums(np.where(kept[successors], 0.0, boxes.high), offsets) == 0.0
-        reached, decision = goal.copy(), np.full(model.n_states, UNDECIDED, dtype=np.int64)
+        reached, decision = ends.copy(), np.full(model.n_states, UNDECIDED, dtype=np.int64)
         while True:
             check_time()
             near = reached[successors]

@@ -19,6 +19,7 @@ from ssp_lp import (
     evaluate,
     simulate,
     solve,
+    tighten,
     visits,
 )
 from tests.support.boxes import corners_of, drawn_boxes, policies_of, stopping_policies
@@ -76,6 +77,48 @@ def test_failing_at_attention_states_is_robust_too(seed, charged):
     )
     solution = solve(replace(problem, box=boxes))
     assert solution.objective == pytest.approx(best, rel=1e-8, abs=1e-10)
+    assert solution.gap <= 1e-9
+
+
+def test_the_bound_counts_costs_where_nature_alone_makes_a_dead_end():
+    model = SSP.from_transitions(
+        {
+            "road": {"go": [(0.2, "home", 2.0), (0.2, "ditch", 2.0), (0.6, "road", 2.0)]},
+            "ditch": {},
+        },
+        goal={"home"},
+        dead_ends={"ditch"},
+    )
+    boxes = Boxes(model, [0.0, 0.1, 0.0], [1.0, 1.0, 0.8])
+    solution = solve(FinitePenalty(model, "road", 5.0, give_up="attention", box=boxes))
+    assert solution.objective == pytest.approx(2.0 / 0.2 + 5.0)
+    assert solution.gap <= 1e-8
+    assert certify(solution).accepted
+    inside = solution.problem.model.probabilities
+    assert (boxes.low <= inside).all()
+    assert (inside <= boxes.high).all()
+
+
+@pytest.mark.parametrize("first", ["push", "tow"])
+def test_an_action_that_nature_can_repeat_for_ever_is_avoided(first):
+    ways = {"push": [(0.5, "home", 1.0), (0.5, "mud", 1.0)], "tow": [(1.0, "home", 4.0)]}
+    actions = {name: ways[name] for name in sorted(ways, reverse=first == "tow")}
+    model = SSP.from_transitions({"mud": actions}, goal={"home"})
+    sure = model.probabilities == 1.0
+    boxes = Boxes(model, sure.astype(float), np.ones(3))
+    problem = FinitePenalty(model, "mud", 9.0, give_up="attention", box=boxes)
+    assert solve(problem).objective == pytest.approx(4.0)
+    assert tighten(MCMP(model, "mud", failure_budget=0.0), boxes).objective == pytest.approx(4.0)
+
+
+def test_a_free_action_that_nature_can_repeat_for_ever_fails_at_worst():
+    ways = {"tow": [(1.0, "home", 9.0)], "wait": [(0.5, "home", 0.0), (0.5, "mud", 0.0)]}
+    model = SSP.from_transitions({"mud": ways}, goal={"home"})
+    boxes = Boxes(model, [1.0, 0.0, 0.0], np.ones(3))
+    problem = FinitePenalty(model, "mud", 4.0, give_up="attention")
+    solution = solve(replace(problem, box=boxes))
+    assert solution.policy.action("mud") == "wait"
+    assert solution.objective == pytest.approx(4.0)
     assert solution.gap <= 1e-9
 
 
