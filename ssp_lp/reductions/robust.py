@@ -54,8 +54,8 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
         time_limit: seconds.
 
     Returns:
-        The solution of the problem at the worst probabilities, which ``solution.problem.model``
-        has, with the robust policy. ``objective`` is the worst value of the policy over the boxes,
+        The solution of the problem at (or just beside) the worst probabilities, which its model
+        has, with the robust policy. ``objective`` is the policy's worst value over the boxes,
         and the bound holds for every policy's worst value.
 
     Raises:
