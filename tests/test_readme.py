@@ -1,5 +1,6 @@
 """The code of the README and of the pages in docs runs, and prints what they say; links lead on."""
 
+import codeop
 import importlib
 import io
 import re
@@ -129,6 +130,18 @@ def test_the_blocks_run_in_order(page, after_the_readme, after_the_start, tmp_pa
     monkeypatch.chdir(tmp_path)
     before = after_the_start if page in AFTER_START else after_the_readme
     assert run_blocks(text_of(page), {} if page in BY_THEMSELVES else dict(before)) == SHOWN[page]
+
+
+@pytest.mark.parametrize("page", sorted(SHOWN.keys() - {"docs/extending.md"}))
+def test_the_blocks_can_be_typed_into_an_interactive_session(page):
+    """A statement in several lines ends with a blank line there; a class has blank lines inside."""
+    for language, body in blocks_of(text_of(page)):
+        typed = ""
+        for line in [*body.splitlines(), ""] if language == "python" else ():
+            typed += line + "\n"
+            if codeop.compile_command(typed.rstrip("\n") if line else typed) is not None:
+                typed = ""
+        assert not typed.strip(), typed
 
 
 def test_the_first_problem_is_the_shortest_example(after_the_readme, capsys):
