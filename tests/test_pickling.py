@@ -118,6 +118,9 @@ def of_solving():
     yield ssp_lp.trace_frontier(criteria.MCMP(MODEL, START, constraints=limits), "seen")
     effects = solve(criteria.MCMP(MODEL, START, failure_budget=0.2)).what_if()
     yield from (effects, effects.effects[0], effects.effects[0].number)
+    box = ssp_lp.Boxes(MODEL, MODEL.probabilities, MODEL.probabilities)
+    given = {"give_up": "anywhere", "charge_failing_step": False}
+    yield ssp_lp.tighten(criteria.MCMP(MODEL, START, failure_budget=0.2, **given), box)
     yield from (effects.effects[0].number.change, ssp_lp.Parameter("crash", 0.1))
     asked = ssp_lp.sweep(criteria.MCMP, MODEL, START, failure_budget=[0.01, 0.2])
     yield ssp_lp.solve_many(asked, executor=ThreadPoolExecutor(1))
@@ -215,7 +218,8 @@ def public_names():
 
 
 @pytest.mark.slow
-def test_every_public_object_is_copied(tmp_path):
+def test_every_public_object_is_copied(tmp_path, accelerate):
+    accelerate(False)  # a loop that is compiled on the way adds in another order
     seen = set()
     for kind in (of_solving, of_models, lambda: of_files(tmp_path), of_gymnasium):
         for made in kind():

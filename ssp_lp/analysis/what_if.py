@@ -197,14 +197,14 @@ class _Optimum:
         """
         solved = problem.unrolled
         if not solved.ratio:
-            return cls(solved, _solved_in_time(solved))
+            return cls(solved, _at_vertex(_solved_in_time(solved)))
         most = max(float(solved.model.costs.max(initial=0.0)), 1.0)
         size = _FIRST_CAP
         while size <= _LAST_CAP:
             own: dict[str, Any] = {"cost_cap": size * most, **as_stated(solved)}
             measure = _solved_in_time(cast("Problem", replace(cast("Any", solved), **own)))
             if measure.beyond <= _BEYOND:
-                return cls(solved, measure)
+                return cls(solved, _at_vertex(measure))
             size *= 2.0
         raise SolverError("too many total costs for derivatives of a cost given success")
 
@@ -529,12 +529,7 @@ class _Optimum:
 
 
 def _solved_in_time(problem: Problem) -> OccupationMeasure:
-    """Solve a problem's program at a vertex.
-
-    Raises:
-        SolverError: no answer passes its check, or it is not a vertex.
-        Stop: the deadline of the call passes before.
-    """
+    """Solve a problem's program; :class:`Stop` if the deadline of the call passes before."""
     check_time()
     try:
         measure: OccupationMeasure = problem.program().solve(time_limit=seconds_left())
@@ -542,6 +537,11 @@ def _solved_in_time(problem: Problem) -> OccupationMeasure:
         if is_late():
             raise Stop from error
         raise
+    return measure
+
+
+def _at_vertex(measure: OccupationMeasure) -> OccupationMeasure:
+    """Return an optimum whose prices are exact; :class:`SolverError` if it is not a vertex."""
     if (measure.reduced or measure).basis is None:
         check_time()  # the limit may have cut the solver short of a vertex
         raise SolverError("the program was solved by interior points alone, whose prices are rough")
