@@ -369,7 +369,7 @@ def check_explorable(problem: Problem) -> None:
         )
     if problem.failure_budget is None and problem.own_constraints:
         raise ModelError(
-            f"{name} with least failure needs the whole model: state ", Argument("failure_budget")
+            f"{name} with least failure needs the whole model: give ", Argument("failure_budget")
         )
     for limit, constraint in limits_of(problem):
         if (fault := beyond_exploring(constraint)) is not None:

@@ -523,10 +523,10 @@ def assembled(
 
 
 def as_solved(solution: Solution, verb: str) -> Solution:
-    """Return the solution of the problem that is solved: with a horizon on (state, steps taken).
+    """Return a solution on the model that was solved: with a horizon (state, steps taken).
 
     Raises:
-        ModelError: no solution; ``verb`` names the function that was called.
+        ModelError: the argument is not a Solution; ``verb`` names the function that was called.
     """
     if not isinstance(solution, Solution):
         raise ModelError(f"{verb} takes a solution, such as solve(problem): {in_short(solution)}")

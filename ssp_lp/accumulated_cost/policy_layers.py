@@ -401,7 +401,7 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
     """Return masks of the states from which a cost-aware policy may reach the goal.
 
     Returns:
-        [layers and layers beyond the last that steps reach, states], and [tails, states].
+        [layers + layers beyond the last one that a step can reach, states], and [tails, states].
 
     Raises:
         Stop: the time limit was reached.

@@ -424,9 +424,10 @@ class LayeredProcess(ChargedLayers):
         return self.totals.beyond[:, None]
 
     def threshold(self, price: float) -> FloatArray:
-        """Return the total, in units, from which the last tail is chosen at a price, [nodes].
+        """Return, for a price of failure, the total from which the last tail is chosen, [nodes].
 
-        It is -infinity if it is chosen from the cap on, so that equal rules compare equal.
+        Totals are in units. A total up to the cap is given as -infinity, so that equal rules
+        compare equal.
         """
         total = self.tails.threshold(price, self.charge) / self.base.unit
         total = total if self.base.by_steps else np.ceil(total - 1e-9)

@@ -379,7 +379,7 @@ def certified(master: Master, generated: Generated, tolerance: float) -> Generat
     """
     row, pricing, pool = master.limit, master.pool.pricing, master.pool
     if row is None:
-        raise ModelError("the search limits more than failure: certify it with all prices")
+        raise ModelError("a search with more limits than the budget needs the prices of all")
     price, last = generated.price, master.best or master.last or generated.columns[0]
     if len(generated.columns) > 1 and deadline.has_time_for(pool.took):
         with deadline.WithIncumbent(), deadline.closing():

@@ -237,7 +237,7 @@ SparseRows = sp.csr_array | SharedRows
 
 
 def written_out(rows: SparseRows) -> sp.csr_array:
-    """Return a matrix in scipy's form, with a number for each entry."""
+    """Return a CSR matrix of scipy; numbers that rows share are copied to each row."""
     return rows.written_out() if isinstance(rows, SharedRows) else rows
 
 

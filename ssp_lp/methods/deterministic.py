@@ -363,7 +363,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
         relaxed = _with_loose_tails(process, layered.process, beyond)
 
         def measure(choice: IntArray) -> list[Column]:
-            """Evaluate a choice with the tails of several prices."""
+            """Evaluate the decisions below the cap, followed by the tails of three prices."""
             within = choice[: cap * base.n_nodes].reshape(cap, base.n_nodes)
             shift = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1]
             tails = (price, 0.0, _ENDLESS * (1.0 + price))

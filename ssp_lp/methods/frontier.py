@@ -260,7 +260,7 @@ class Frontier(Report):
 
     @property
     def gap(self) -> float:
-        """Largest relative distance of policies below a segment."""
+        """Upper bound of the relative distance by which a policy can lie below a segment."""
         return max(self.tolerance, self.hidden, float(self.below.max(initial=0.0)))
 
     @property
@@ -825,7 +825,7 @@ class _Optima:
         return below, None if settled else bound
 
     def split(self, p: _Optimum, q: _Optimum, bound: float) -> tuple[_Optimum, ...]:
-        """Solve at a bound inside a segment; return the points of the segment with its ends."""
+        """Solve at a bound inside a segment; return its points with both ends, or ()."""
         self.add(bound)
         if not p.spent < self.optima[-1].spent < q.spent:
             return ()

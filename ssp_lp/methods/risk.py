@@ -160,7 +160,7 @@ class _Sums:
         self._grow(4.0 * float(max(self._steps[-1], self._last[-1])) or 1.0)
 
     def total(self, number: int) -> float:
-        """Return the total of a number, or the greatest total if there are no more."""
+        """Return the total with a given index, or the greatest total if there are fewer."""
         size = 0
         while size < len(self._totals) <= number:
             size = len(self._totals)
@@ -168,7 +168,7 @@ class _Sums:
         return float(self._totals[min(number, len(self._totals) - 1)])
 
     def number(self, total: float) -> int:
-        """Return the number of the nearest total."""
+        """Return the index of the nearest total."""
         while self._cap <= total * (1.0 + 1e-9):
             self._grow(2.0 * self._cap)
         return int(np.abs(self._totals - total).argmin())

@@ -253,10 +253,10 @@ def _true_lottery(problem: Problem, outcome: RefinedOutcome) -> Answer:
 
 
 def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
-    """Return policies of split costs, evaluated on the true model, on both sides of the budget.
+    """Evaluate, on the true model, the policies that were found with split costs.
 
-    A policy that satisfies the budget with split costs may violate it on the true model, and vice
-    versa: then prices near the optimal one are tried.
+    The columns returned lie on both sides of the budget. A policy that satisfies the budget with
+    split costs may violate it on the true model, and vice versa: then nearby prices are tried.
 
     Raises:
         Stop: the time limit was reached before a policy within the budget was evaluated.
@@ -505,7 +505,7 @@ def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction
 
 
 def _span_of_steps(problem: Problem) -> float:
-    """Return the span of totals for split costs, without the last steps of episodes."""
+    """Return the span of totals that split costs distinguish; last steps are left out."""
     return span_of_totals(problem, float(step_costs(problem.model)[1][-1]))
 
 

@@ -287,12 +287,12 @@ class Distribution(ReadOnlyCopies):
 
 
 def _between(low: float, high: float, levels: FloatArray) -> FloatArray:
-    """Return uniform noise of a continuous model at each level, like ``levels``."""
+    """Return the quantiles of uniform noise at ``levels``, in the shape of ``levels``."""
     return low + (high - low) * levels
 
 
 def _atoms_at(atoms: FloatArray, cumulative: FloatArray, levels: FloatArray) -> FloatArray:
-    """Return discrete noise of a continuous model at each level, like ``levels``."""
+    """Return the quantiles of discrete noise at ``levels``, in the shape of ``levels``."""
     return np.asarray(atoms[np.searchsorted(cumulative, levels, side="right")])
 
 

@@ -528,7 +528,7 @@ class EpisodeBatch:
     def decide(self, episodes: IntArray, states: IntArray) -> IntArray:
         """Return a pair or GIVE_UP_CODE for each of the given episodes in these states.
 
-        Policies with decisions after giving up continue with these at once.
+        A policy that also acts after giving up returns that action instead of GIVE_UP_CODE.
         """
         pairs = np.empty(len(episodes), dtype=np.int64)
         for member, mine in self.shares(episodes):

@@ -464,7 +464,7 @@ class CompletePolicy(_Carried):
         return np.asarray(self.model.goal_mask | (np.diff(self.model.pair_offsets) == 0))
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the inner policy's memories, "over" and, if some states need it, "elsewhere"."""
+        """Return the inner policy's memories, "over", and "elsewhere" if it cannot begin there."""
         known = [(3 * code, words) for code, words in self.inner.memories()]
         begins = self.inner.begins(np.arange(self.model.n_states)).all()
         return [*known, (1, "over"), *([] if begins else [(2, "elsewhere")])]

@@ -263,7 +263,7 @@ def build_quotient(
 
 
 def _numbered_nodes(live: BoolArray, component: IntArray) -> IntArray:
-    """Return the node of each state, in the order of first states, [states]; -1: not live."""
+    """Return the node of each state, numbered by their first states, [states]; -1: not live."""
     group = np.where(component >= 0, component + live.size, np.arange(live.size))
     first = np.arange(live.size)
     members = (component >= 0).nonzero()[0]

@@ -394,7 +394,7 @@ class ConvexProgram:
 
     @property
     def _minimises_cost(self) -> bool:
-        """Whether the objective and its costs are unchanged."""
+        """Whether the objective is still the program's expected cost, with its own costs."""
         unchanged = np.array_equal(np.asarray(self.cost.value), self.program.process.cost)
         return self.objective is self._stated[1] and unchanged and self._constant.value == 0.0
 

@@ -448,7 +448,7 @@ def decomposed(
     excess = (followed - visits - subtracted)[taken] / often[taken]
     wrong = max(float(excess.max(initial=0.0)), remaining)
     if wrong > _WRONG:
-        raise SolverError(f"the visits are those of no policy: the lottery's differ by {wrong:.1e}")
+        raise SolverError(f"no lottery has these visits: the nearest one differs by {wrong:.1e}")
     total = np.sum(weights)
     return tuple(members), np.array(weights) / total, followed / total
 

@@ -252,8 +252,8 @@ def ending(boxes: Boxes, semantics: FailureSemantics) -> tuple[IntArray, FloatAr
 def _losing(boxes: Boxes, ends: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
     """Return the states from which nature can prevent every policy from surely ending.
 
-    In rounds, states are added by pairs that nature cannot keep from the ends and the states added
-    before; the remaining states are lost, with the pairs that may lead there.
+    A state is kept if a pair of it may lead to an end, or to a state kept before, whatever nature
+    does. The other states are lost, pairs that may lead to them are removed, and so on in rounds.
 
     Args:
         boxes: the boxes.

@@ -206,7 +206,7 @@ class Nodes:
         return self.where[node][0] if node in self.where else (node - 1) % self.program.graph.size
 
     def member(self, decide: Decide) -> Member:
-        """Evaluate the policy of given decisions; where it never ends, it waits.
+        """Evaluate the policy of given decisions, which waits where it would never end.
 
         Raises:
             SolverError: the policy goes on for ever where waiting is not free.
