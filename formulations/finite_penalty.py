@@ -16,8 +16,8 @@ class FinitePenalty(Formulation):
         the goal is reached; runs that fail pay the penalty in addition (fSSPUDE).
 
     Program:
-        minimise <cost + penalty * failure, x> subject to flow balance, x >= 0, over the process of
-        ``MCMP``, without a failure row.
+        minimise ``<cost + penalty * failure, x>`` subject to flow balance, x >= 0, over the process
+        of ``MCMP``, without a failure row.
 
     Guarantee:
         a deterministic stationary policy attains the optimum. ``failure_price`` is the penalty, and

@@ -16,8 +16,9 @@ class ISSPUDE(Formulation):
         goal probability first, and by the expected cost of their successful runs second.
 
     Program:
-        two stages. MAXPROB; then minimise <cost * Pmax(successor), x> / Pmax(start) over the pairs
-        that attain it. No accumulated cost is needed, since Pmax determines the worth of every run.
+        two stages. MAXPROB; then minimise ``<cost * Pmax(successor), x> / Pmax(start)`` over the
+        pairs that attain it. No accumulated cost is needed, since Pmax determines the worth of
+        every run.
 
     Guarantee:
         a deterministic stationary policy attains the optimum; ``lower_bound`` comes from checked

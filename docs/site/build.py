@@ -41,7 +41,7 @@ STORIES = {
 }
 """Notebooks, which become pages."""
 
-FRONT = "hide: [navigation, toc]"
+FRONT = "hide: [toc]"
 UNSEARCHED = "search: {exclude: true}"
 HEADS = {"index.md": FRONT, "readme.md": UNSEARCHED}
 """Settings of pages; the README says what other pages say, too."""

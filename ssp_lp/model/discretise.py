@@ -264,7 +264,7 @@ def discretise(
 
     In the model each step begins at a point uniform in its cell, independently of the past. The
     world has a definite point in the cell: no certificate of the model holds in the world. Play the
-    policy in the world (:class:`.WorldSimulator`) to obtain an exact interval of its failure
+    policy in the world (``WorldSimulator``) to obtain an exact interval of its failure
     probability.
 
     Args:
