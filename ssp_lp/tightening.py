@@ -20,7 +20,7 @@ from ssp_lp.column_generation.column import two_sided_gap
 from ssp_lp.column_generation.restricted_master import MasterOptimum
 from ssp_lp.column_generation.search import secant
 from ssp_lp.compiled.deadline import WithIncumbent, limited
-from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.errors import InfeasibleError, ModelError, check_between_0_and_1
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.boxes import Boxes
 from ssp_lp.model.report import Facts, Table
@@ -103,6 +103,7 @@ def tighten(
         (2.5, 2.5, array([0.75, 0.25]))
     """
     check_problem(problem, "tighten")
+    check_between_0_and_1("tolerance", tolerance)
     semantics, budget = problem.semantics, problem.failure_budget
     if budget is None or problem.reach_fraction is not None or not semantics.counts_cost_alone:
         raise ModelError("tighten takes MCMP with a failure budget: MCMP(..., failure_budget=0.05)")
@@ -154,9 +155,8 @@ class _Pool:
             best = self.lottery()
             if two_sided_gap(best.value, self.lower_bound) <= tolerance:
                 return
-            known = np.array(self.tried)
             for price in (self.adverse_price, float(best.prices[0])):
-                if (np.abs(known - price) > tolerance * price).all():
+                if all(abs(price - other) > tolerance * price for other in self.tried):
                     break
             else:
                 return

@@ -149,6 +149,8 @@ def test_what_is_not_supported_is_refused_by_name():
         tighten(S3P(ROAD, "road", failure_budget=0.05), BOXES)
     with pytest.raises(ModelError, match="constraints"):
         tighten(replace(problem, constraints={"few": visits("road") <= 2.0}), BOXES)
+    with pytest.raises(ModelError, match="tolerance must lie strictly between 0 and 1"):
+        tighten(problem, BOXES, tolerance=-1.0)
     with pytest.raises(ModelError, match="must be Boxes"):
         tighten(problem, 0.1)
     trap = SSP.from_transitions(
