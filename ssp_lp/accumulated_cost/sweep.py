@@ -221,7 +221,7 @@ class Sweep:
                 inner, least = settled.choice, settled.values
             choice[layer] = inner - self.first_pairs
             if begun is not None:
-                begun[layer, 0] = least @ self.start
+                begun[layer, 0] = least[entries] @ shares
             return (least,) if measured is None else (least, self._measures(layer, inner, measured))
 
         part = PartOfSweep(choice, priced.price, self.process.cap, None)
