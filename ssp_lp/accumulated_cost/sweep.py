@@ -29,6 +29,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     csr_of,
+    expected,
     least_integer_type,
     unsigned,
     weighted,
@@ -201,9 +202,9 @@ class Sweep:
             for some, swept, last in self._blocks(one_pass, priced, values, measures, choice):
                 measures = last
                 if begun is not None:
-                    begun[some, 0] = swept @ self.start
+                    begun[some, 0] = swept[:, entries] @ shares
                     begun[some, 1:] = shares @ measures[:, entries]
-            return np.asarray(self.start @ measures[0])
+            return expected(self.start, measures[0])
         cost, inner = self._pair_costs(priced), self._first_choice
 
         def best(
@@ -231,7 +232,7 @@ class Sweep:
                 part = part._replace(layer=layer, measures=(*numbers, None)[1])
             if part.measures is None:
                 return self.follow(choice, measures)
-            return np.asarray(self.start @ part.measures)
+            return expected(self.start, part.measures)
         except STOPS as stop:
             end_with_incumbent(stop)
             raise Stop(part) from stop
@@ -247,7 +248,7 @@ class Sweep:
         if (one_pass := self.one_pass) is not None:
             given = Priced(_NONE, _NONE, _NONE), beyond[:, :, 0], beyond, choice
             blocks = self._blocks(one_pass, *given, keeps=True)
-            return np.asarray(self.start @ deque(blocks, maxlen=1)[0][2][0])
+            return expected(self.start, deque(blocks, maxlen=1)[0][2][0])
         if self.can_follow:
             return self.follow(choice, beyond)
 
@@ -256,7 +257,7 @@ class Sweep:
             return (self._measures(layer, self.first_pairs + choice[layer], ahead),)
 
         swept = self._backward(measured, beyond)
-        return np.asarray(self.start @ deque(swept, maxlen=1)[0][1][0])
+        return expected(self.start, deque(swept, maxlen=1)[0][1][0])
 
     def bound(
         self,

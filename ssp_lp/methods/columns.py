@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
-from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, RELATIVE_GAP
+from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, RELATIVE_GAP, expected
 from ssp_lp.column_generation.column import CONTRADICTION, FailureRow, relative_gap
 from ssp_lp.column_generation.compiled_problem import (
     CompiledExplicit,
@@ -62,7 +62,8 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     """Solve for the greatest or least goal probability, checked by the full program if chosen."""
     compiled, aim = problem.compile(), problem.semantics.aim
     reach = extreme_goal_reach(problem.model, aim, compiled.start)
-    objective, bound = float(compiled.start @ reach.goal), float(compiled.start @ reach.bound)
+    objective = float(expected(compiled.start, reach.goal))
+    bound = float(expected(compiled.start, reach.bound))
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
     if options.program is not None:
         process = compiled.explicit()

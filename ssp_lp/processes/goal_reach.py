@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TailValues
-from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, expected, read_only
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import approach_leaving
@@ -50,7 +50,7 @@ class GoalReach:
         Only for the greatest goal probability. It is rounded down by the errors of the sum, the
         difference and the bound of each state.
         """
-        return max(1.0 - float(start @ self.bound) - 4.0 * MACHINE_EPSILON, 0.0)
+        return max(1.0 - float(expected(start, self.bound)) - 4.0 * MACHINE_EPSILON, 0.0)
 
     @cached_property
     def usable(self) -> BoolArray:
@@ -117,10 +117,12 @@ def greatest_goal_from(model: SSP, start: FloatArray) -> float:
     Raises:
         Stop: the time limit was reached before it was computed.
     """
-    reached = float(start @ greatest_goal_reach(model, start=start, last_digits=False).goal)
+    reached = float(
+        expected(start, greatest_goal_reach(model, start=start, last_digits=False).goal)
+    )
     check_time()  # at a time limit it may not be the greatest
     if 1.0 - _RARE < reached < 1.0:
-        return float(start @ greatest_goal_reach(model, start=start).goal)
+        return float(expected(start, greatest_goal_reach(model, start=start).goal))
     return reached
 
 
