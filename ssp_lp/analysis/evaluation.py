@@ -77,8 +77,8 @@ class Evaluation(Facts):
         return self.failure_probability if surrogate is None else surrogate
 
     def __post_init__(self) -> None:
-        for name in ("ends", "secondary_costs"):
-            object.__setattr__(self, name, ByName(getattr(self, name)))
+        for name, numbers in (("ends", self.ends), ("secondary_costs", self.secondary_costs)):
+            object.__setattr__(self, name, ByName(numbers))
 
     def tables(self) -> list[Table]:
         """Return a table of the objective, the ends of episodes, and the costs."""

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from ssp_lp.accumulated_cost.charges import ExpectedArrivalCost
 from ssp_lp.arrays import BoolArray, FloatArray, read_only
-from ssp_lp.errors import ModelError, did_you_mean, in_short, is_number, nearest_name
+from ssp_lp.errors import ModelError, attributes_of, did_you_mean, in_short, is_number, nearest_name
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.graph import end_marks
@@ -377,7 +377,7 @@ _WITH_CVXPY = (
 
 def cvxpy_hint(value: object) -> str:
     """Return a hint for an expression of cvxpy in place of a number; else an empty string."""
-    return _WITH_CVXPY if hasattr(value, "is_dcp") else ""
+    return _WITH_CVXPY if attributes_of(value, "is_dcp") else ""
 
 
 @explained_class

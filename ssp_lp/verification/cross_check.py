@@ -305,13 +305,12 @@ def cross_check(
     check_problem(problem, "cross_check")
     check_between_0_and_1("tolerance", tolerance)
     check_between_0_and_1("weight_tolerance", weight_tolerance)
-    asks = problem.requirements
-    if asks.law:
+    if problem.semantics.counts_law:
         raise ModelError(
             f"cross_check supports expected costs only, not {type(problem).__name__}: solve it "
             "with method='lp' and with method='columns', and compare"
         )
-    if asks.several_rows:
+    if problem.several_rows:
         raise ModelError(
             f"cross_check supports the failure budget only, not the limits of this "
             f"{type(problem).__name__}: solve it with method='lp' and 'columns', and compare"
