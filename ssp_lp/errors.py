@@ -171,6 +171,11 @@ def is_number(value: object) -> TypeGuard[float]:
         return False
 
 
+def is_amount(value: object) -> TypeGuard[float]:
+    """Return whether a value is a finite number >= 0 that a float can hold."""
+    return is_number(value) and 0.0 <= float(value) < math.inf
+
+
 def check_between_0_and_1(name: str, value: object, hint: str = "") -> None:
     """Raise :class:`ModelError`, naming the argument, unless it lies strictly between 0 and 1."""
     if not (is_number(value) and 0.0 < float(value) < 1.0):

@@ -27,6 +27,7 @@ from ssp_lp.errors import (
     ModelError,
     attributes_of,
     in_short,
+    is_amount,
     is_number,
     wrong_argument,
 )
@@ -207,13 +208,8 @@ def least_failure_bound(problem: Problem) -> float | None:
     return greatest_goal_reach(model, survival, start, last_digits=False).least_failure(start)
 
 
-def compiled_constrained(problem: Problem, *, by_units: bool = False) -> CompiledExplicit:
-    """Compile a problem with constraints: its process and its rows.
-
-    Args:
-        problem: the problem.
-        by_units: distinguish totals as multiples of a unit whatever the costs are.
-    """
+def compiled_constrained(problem: Problem) -> CompiledExplicit:
+    """Compile a problem with constraints: its process and its rows."""
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
     objective, model = problem.objective_condition, problem.model
     start = start_distribution(model, problem.start)
@@ -235,7 +231,7 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
         ratio=problem.ratio,
         fixed_cap=problem.cost_cap,
         objective=None if objective is None else objective.minimised(),
-        resolution=None if by_units else resolution_of(problem),
+        resolution=resolution_of(problem),
     )
 
 
@@ -483,23 +479,10 @@ def as_float(value: Any) -> Any:
     return value if type(value) in (bool, int, float) or not is_number(value) else float(value)
 
 
-def check_numbers(**named: object) -> None:
-    """Check that a problem's arguments are numbers: Python's, numpy's or fractions.
-
-    Raises:
-        ModelError: an argument is not a number; the error names it.
-    """
-    for name, value in named.items():
-        if not is_number(value):
-            raise wrong_argument(name, "be a number", value)
-
-
-def check_cost(**named: object) -> None:
-    """Raise :class:`ModelError` unless an argument of a problem is a finite number >= 0."""
-    check_numbers(**named)
-    for name, value in named.items():
-        if not 0 <= cast("float", value) < float("inf"):
-            raise wrong_argument(name, "be a cost", value)
+def check_cost(name: str, value: object) -> None:
+    """Raise :class:`ModelError`, naming the argument, unless it is a finite number >= 0."""
+    if not is_amount(value):
+        raise wrong_argument(name, "be a cost", value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

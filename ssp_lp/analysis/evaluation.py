@@ -653,9 +653,7 @@ def state_give_up_charges(
     if semantics.give_up is GiveUp.DEAD_ENDS:  # otherwise giving up costs as little as staying
         free = costless_pairs(model) if free is None else free
         wandering = model.staying_free(free)
-    return model.of_all_states(
-        give_up_charges(model, attention_states(model), wandering, semantics)
-    )
+    return model.of_all_states(give_up_charges(model, wandering, semantics))
 
 
 def entering_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:

@@ -77,7 +77,6 @@ from ssp_lp.problem import (
     Problem,
     Restated,
     budget_of_share,
-    check_numbers,
     check_problem,
     compiled_constrained,
     pulled_back,
@@ -416,7 +415,8 @@ class Frontier(Report):
 
     def _locate(self, budget: float) -> tuple[int, float]:
         """Return the turning point at or before a budget, and the weight of the next one."""
-        check_numbers(budget=budget)
+        if not is_number(budget):
+            raise wrong_argument("budget", "be a number", budget)
         if self.over == FAILURE_ROW and budget > 1.0 + LEAST_BUDGET:
             raise ModelError(f"budget must be a probability, not {budget!r}{as_percentage(budget)}")
         lowest, spent = float(self.spent[0]), self.spent

@@ -24,7 +24,7 @@ from ssp_lp.arrays import LEAST_BUDGET, BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
 from ssp_lp.methods.approaches import refusal
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph import attention_states, drain, hopeless_states
+from ssp_lp.model.graph import drain, hopeless_states
 from ssp_lp.model.report import Report, Table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
 from ssp_lp.problem import Problem, check_problem
@@ -458,7 +458,7 @@ def second_reading(problem: Problem) -> SecondReading | None:
     apart = program_of(asked, statement.states)
     dead, nobody = hopeless_states(model), np.zeros(model.n_states, dtype=np.bool_)
     entering = dead_end_charges(model, dead, semantics)
-    stopping = give_up_charges(model, attention_states(model), nobody, semantics)
+    stopping = give_up_charges(model, nobody, semantics)
     may_stop = np.isfinite(stopping) & ~dead & ~model.goal_mask
     waits = costless_pairs(model) & ~dead[model.pair_state]  # for ever, or until it can leave
     left = np.bincount(model.pair_state[waits], minlength=model.n_states)
