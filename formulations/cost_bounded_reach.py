@@ -72,7 +72,7 @@ class CostBoundedReach(Formulation):
     cost_levels: int | None = None
 
     def __post_init__(self) -> None:
-        check_cost(cost_bound=self.cost_bound)
+        check_cost("cost_bound", self.cost_bound)
         super().__post_init__()
 
     @property

@@ -96,7 +96,7 @@ class CostBudgetedMaxProb(Formulation):
     aim = Aim.GREATEST_GOAL
 
     def __post_init__(self) -> None:
-        check_cost(cost_budget=self.cost_budget)
+        check_cost("cost_budget", self.cost_budget)
         super().__post_init__()
 
     @property

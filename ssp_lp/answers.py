@@ -133,7 +133,9 @@ class Answers(Report):
     @property
     def objectives(self) -> FloatArray:
         """Optimal values of the answers, nan where there is an error, [problems]."""
-        return np.array([getattr(answer, "objective", np.nan) for answer in self])
+        return np.array(
+            [answer.objective if isinstance(answer, Solution) else np.nan for answer in self]
+        )
 
     def tables(self) -> list[Table]:
         """Return a table with a row for each problem; its text shows the first rows and the errors.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
+from dataclasses import fields
 from typing import Any, Final
 
 import numpy as np
@@ -99,6 +100,11 @@ class ReadOnlyCopies:
         """Restore the fields of a copy, with read-only arrays."""
         kept = {k: read_only(v) if isinstance(v, np.ndarray) else v for k, v in state.items()}
         vars(self).update(kept)
+
+
+def fields_of(record: Any, declared: Any) -> dict[str, Any]:
+    """Return the values of a dataclass's declared fields in a record, by name, not copied."""
+    return {part.name: getattr(record, part.name) for part in fields(declared)}
 
 
 def least_integer_type(most: int) -> npt.DTypeLike:

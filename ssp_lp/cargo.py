@@ -22,6 +22,7 @@ from joblib.externals.loky.cloudpickle_wrapper import dumps, loads
 
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.product import ProductSSP
 from ssp_lp.problem import Problem
 
 _ALIGNED = 64  # bytes: arrays in a file begin at multiples, for the compiled loops
@@ -35,7 +36,7 @@ def models_of(problems: Iterable[Problem]) -> list[SSP]:
         model: SSP | None = problem.model
         while model is not None and id(model) not in models:
             chain.append(model)
-            model = getattr(model, "original", None)
+            model = model.original if isinstance(model, ProductSSP) else None
         models |= {id(one): one for one in reversed(chain)}
     return [*models.values()]
 

@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from fractions import Fraction
 from functools import cache
 from importlib import import_module
-from inspect import Parameter, Signature, signature
+from inspect import Parameter, Signature, isroutine, signature
 from itertools import islice
 from numbers import Integral, Real
 from types import ModuleType
@@ -158,12 +158,22 @@ def wrong_argument(name: str, wanted: str, given: object, hint: str = "") -> Mod
     return ModelError(Argument(name), f" must {wanted}, not {in_short(given)}{hint}")
 
 
+def attributes_of(thing: object, *names: str) -> dict[str, Any]:
+    """Return those attributes that a foreign object, or a wrong argument, has, by name."""
+    return {name: getattr(thing, name) for name in names if hasattr(thing, name)}
+
+
 def is_number(value: object) -> TypeGuard[float]:
     """Return whether a value is a number that fits a float: of Python, of numpy or a fraction."""
     try:
         return isinstance(value, Real) and float(value) is not None
     except OverflowError:
         return False
+
+
+def is_amount(value: object) -> TypeGuard[float]:
+    """Return whether a value is a finite number >= 0 that a float can hold."""
+    return is_number(value) and 0.0 <= float(value) < math.inf
 
 
 def check_between_0_and_1(name: str, value: object, hint: str = "") -> None:
@@ -277,7 +287,7 @@ def in_short(value: Any) -> str:
     if isinstance(value, Mapping) and len(value) <= _LISTED:
         text = ", ".join(f"{in_short(k)}: {in_short(v)}" for k, v in value.items())
         return f"{{{text}}}"
-    if callable(value) and hasattr(value, "__name__"):
+    if isroutine(value) or isinstance(value, (type, np.ufunc)):
         return f"<{value.__name__}>".replace("<<lambda>>", "<lambda>")
     if isinstance(value, Sized) and not isinstance(value, str) and len(value) > _LISTED:
         return f"<{type(value).__name__} of {len(value):,}>"

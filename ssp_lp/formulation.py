@@ -25,7 +25,7 @@ from ssp_lp.accumulated_cost.charges import (
     Utility as Utility,
     WithinBound as WithinBound,
 )
-from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.arrays import FloatArray, IntArray, fields_of, read_only
 from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
     CompiledExplicit,
@@ -34,6 +34,7 @@ from ssp_lp.column_generation.compiled_problem import (
 from ssp_lp.errors import (
     InfeasibleError as InfeasibleError,
     ModelError as ModelError,
+    attributes_of,
     check_call,
     check_whole,
     form_of,
@@ -135,7 +136,7 @@ class Formulation(Problem):
             first = next(part.name for part in fields(cls) if not part.kw_only)
             given = in_short(arguments[0])
             if first == "model":
-                parts = [f".{n}" for n in ("model", "start") if hasattr(arguments[0], n)]
+                parts = [f".{name}" for name in attributes_of(arguments[0], "model", "start")]
                 has = f"; it has {' and '.join(parts)}: pass them" if parts else ""
                 takes = f"{cls.__name__} takes an SSP first, then the start"
                 raise ModelError(f"{takes}, not {given}{has}")
@@ -152,10 +153,10 @@ class Formulation(Problem):
 
     def __repr__(self) -> str:
         """Return a line with the class, the model, the start, and all non-default arguments."""
-        arguments = []
+        arguments, stated = [], as_stated(self)
+        values = fields_of(self, self) | stated
         for part in sorted(fields(self), key=lambda part: part.kw_only is True):
-            is_budget = part.name in (stated := as_stated(self))
-            value = stated[part.name] if is_budget else getattr(self, part.name)
+            is_budget, value = part.name in stated, values[part.name]
             needed = part.default is MISSING and part.default_factory is MISSING
             default = None if is_budget else part.default
             if part.default_factory is not MISSING:
@@ -202,8 +203,8 @@ class Formulation(Problem):
             check_explorable(self)
             return  # states and their names are looked up as they are found
         _ = self._begun
-        for name in ("horizon", "cost_levels"):
-            if (number := getattr(self, name)) is not None:
+        for name, number in (("horizon", self.horizon), ("cost_levels", self.cost_levels)):
+            if number is not None:
                 check_whole(name, number)
         if self.box is not None:
             check_boxed(self, self.box)
@@ -333,7 +334,7 @@ class Formulation(Problem):
             return self.unrolled.compile()
         model, start, semantics = self.model, self._begun, self.semantics
         _COMPILING.info("%r", self)
-        if semantics.counts_law or self.requirements.totals is TotalScale.SUMS:
+        if semantics.counts_law or self.totals is TotalScale.SUMS:
             return compiled_totals(self)
         if self.ratio:
             cap = self.cost_cap

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, cast
 
@@ -24,7 +25,9 @@ from ssp_lp.errors import (
     Argument,
     InfeasibleError,
     ModelError,
+    attributes_of,
     in_short,
+    is_amount,
     is_number,
     wrong_argument,
 )
@@ -120,19 +123,33 @@ class Problem(ReadOnlyCopies):
         return bool(self.conditions) or self.objective_condition is not None
 
     @property
-    def requirements(self) -> Requirements:
-        """Features of a problem that a method must support."""
-        semantics, rows, totals = self.semantics, self.has_rows, TotalScale.NONE
-        law, is_risk = semantics.counts_law, semantics.risk is not None
-        if law or self.ratio:
-            is_cut = self.discount is not None or self.cost_cap is not None
-            resolution, totals = resolution_of(self), TotalScale.UNITS
-            if resolution is not None:
-                whole = not rows and not (is_cut and not law)
-                by_sums = whole and resolution.most == MOST_SUMS
-                totals = TotalScale.SUMS if by_sums else TotalScale.GRID
-        least = self.failure_budget is None
-        return Requirements(law, is_risk, semantics.aim, self.ratio, rows, totals, least)
+    def counts_totals(self) -> bool:
+        """Whether a problem depends on the total cost of a run that succeeds."""
+        return self.ratio or self.semantics.counts_law
+
+    @cached_property
+    def totals(self) -> TotalScale:
+        """Scale on which the total costs of runs that succeed are distinguished."""
+        if not self.counts_totals:
+            return TotalScale.NONE
+        resolution = resolution_of(self)
+        if resolution is None:
+            return TotalScale.UNITS
+        is_cut = self.discount is not None or self.cost_cap is not None
+        is_whole = self.semantics.counts_law or not is_cut
+        by_sums = is_whole and not self.has_rows and resolution.most == MOST_SUMS
+        return TotalScale.SUMS if by_sums else TotalScale.GRID
+
+    @property
+    def several_rows(self) -> bool:
+        """Whether a problem needs an explicit process and a program with rows."""
+        return self.has_rows or self.totals is TotalScale.GRID
+
+    @property
+    def is_mean_within_budget(self) -> bool:
+        """Whether a problem is case S with a limit on failure alone."""
+        plain = self.ratio and not (self.semantics.counts_law or self.has_rows)
+        return plain and self.failure_budget is not None
 
     def compile(self) -> CompiledProblem:
         """Return the problem compiled: its augmented process, ready for a method."""
@@ -182,45 +199,17 @@ class TotalScale(StrEnum):
     GRID = "levels of a grid"
 
 
-@dataclass(frozen=True)
-class Requirements:
-    """Features of a problem that a method must support, independent of the criterion's name."""
-
-    law: bool  # a measure of the law of the total cost, not its mean or the goal
-    is_risk: bool  # a quantile or a tail mean, which no single program answers
-    aim: Aim
-    ratio: bool  # given success
-    rows: bool  # limits in addition to the failure budget, or an objective other than the cost
-    totals: TotalScale
-    least_failure: bool  # no budget: as low as possible
-
-    @property
-    def several_rows(self) -> bool:
-        """Whether the problem needs an explicit process and a program with rows."""
-        return self.rows or self.totals is TotalScale.GRID
-
-    @property
-    def counts_totals(self) -> bool:
-        """Whether the problem depends on the total cost of a run that succeeds."""
-        return self.totals is not TotalScale.NONE
-
-
 def least_failure_bound(problem: Problem) -> float | None:
     """Return the certified lower bound of every policy's failure; None: failure has a limit."""
-    if not problem.requirements.least_failure:
+    if problem.failure_budget is not None:
         return None
     model, survival = problem.model, survival_of(problem.discount)
     start = start_distribution(model, problem.start)
     return greatest_goal_reach(model, survival, start, last_digits=False).least_failure(start)
 
 
-def compiled_constrained(problem: Problem, *, by_units: bool = False) -> CompiledExplicit:
-    """Compile a problem with constraints: its process and its rows.
-
-    Args:
-        problem: the problem.
-        by_units: distinguish totals as multiples of a unit whatever the costs are.
-    """
+def compiled_constrained(problem: Problem) -> CompiledExplicit:
+    """Compile a problem with constraints: its process and its rows."""
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
     objective, model = problem.objective_condition, problem.model
     start = start_distribution(model, problem.start)
@@ -242,7 +231,7 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
         ratio=problem.ratio,
         fixed_cap=problem.cost_cap,
         objective=None if objective is None else objective.minimised(),
-        resolution=None if by_units else resolution_of(problem),
+        resolution=resolution_of(problem),
     )
 
 
@@ -255,7 +244,7 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArriva
     """
     start = start_distribution(problem.model, problem.start)
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
-    by_sums = may_sum and problem.requirements.totals is TotalScale.SUMS
+    by_sums = may_sum and problem.totals is TotalScale.SUMS
     return CompiledArrivalCost(problem.model, start, charge, problem.ratio, by_sums=by_sums)
 
 
@@ -453,14 +442,14 @@ def on_one_model(
     Raises:
         ModelError: no policy (a solution, for instance); no problem; or two models.
     """
-    if hasattr(policy, "policy") and hasattr(policy, "problem"):
-        raise ModelError(f"{verb} takes a policy: pass solution.policy and its problem")
-    check_problem(problem, verb)
-    if not hasattr(policy, "model") or hasattr(policy, "semantics"):
+    if not isinstance(policy, Policy | MixedPolicy):
+        if len(attributes_of(policy, "policy", "problem")) == 2:
+            raise ModelError(f"{verb} takes a policy: pass solution.policy and its problem")
         raise ModelError(
             f"{verb} takes a policy, such as solution.policy or DeterministicPolicy.from_actions("
             f"model, {{state: action}}), not {in_short(policy)}"
         )
+    check_problem(problem, verb)
     if problem.box is not None:
         raise has_boxes(verb)
     theirs = policy.model
@@ -470,7 +459,7 @@ def on_one_model(
     if theirs is solved.model:
         return until_failing(as_lottery(policy)), solved
     if theirs is not problem.model:
-        of_product = getattr(theirs, "original", None) is problem.model
+        of_product = isinstance(theirs, ProductSSP) and theirs.original is problem.model
         hint = "; on_original(policy) acts on the original model" if of_product else ""
         remedy = hint or ": pass a problem on policy.model, or solve this problem"
         raise ModelError(f"the policy was made for another model object{remedy}")
@@ -490,23 +479,10 @@ def as_float(value: Any) -> Any:
     return value if type(value) in (bool, int, float) or not is_number(value) else float(value)
 
 
-def check_numbers(**named: object) -> None:
-    """Check that a problem's arguments are numbers: Python's, numpy's or fractions.
-
-    Raises:
-        ModelError: an argument is not a number; the error names it.
-    """
-    for name, value in named.items():
-        if not is_number(value):
-            raise wrong_argument(name, "be a number", value)
-
-
-def check_cost(**named: object) -> None:
-    """Raise :class:`ModelError` unless an argument of a problem is a finite number >= 0."""
-    check_numbers(**named)
-    for name, value in named.items():
-        if not 0 <= cast("float", value) < float("inf"):
-            raise wrong_argument(name, "be a cost", value)
+def check_cost(name: str, value: object) -> None:
+    """Raise :class:`ModelError`, naming the argument, unless it is a finite number >= 0."""
+    if not is_amount(value):
+        raise wrong_argument(name, "be a cost", value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -114,7 +114,7 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
             try:
                 solution = approach_to(case).solve(inner, options)
             except ModelError as error:
-                if not case.asks.is_risk:
+                if inner.semantics.risk is None:
                     raise
                 too_large = error  # a table of totals: return the incumbent
         if solution is None or not isfinite(solution.objective):

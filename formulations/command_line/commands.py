@@ -19,7 +19,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import ssp_lp
 from ssp_lp import SSP, ModelError, Solution, io
 from ssp_lp.analysis.simulation import Estimate
-from ssp_lp.errors import Argument, SolverError, check_whole, did_you_mean, optional_module
+from ssp_lp.errors import (
+    Argument,
+    SolverError,
+    attributes_of,
+    check_whole,
+    did_you_mean,
+    optional_module,
+)
 from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json
 from ssp_lp.io.model_files.raw_model import FIRST_COST
@@ -27,6 +34,7 @@ from ssp_lp.methods.labelled_program import program_of
 from ssp_lp.model.report import Table
 from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, plot_tornado, row_major
 from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.remembering import CompletePolicy, LabelledPolicy, RememberingPolicy
 
 from ..maxprob import MaxProb
 from ..mcmp import MCMP
@@ -111,7 +119,7 @@ def _model_from_standard_input() -> str:
 
 
 def _model_of_environment(asked: Namespace) -> _CommandModel:
-    """Return the text of a command's model on standard input, which is read once."""
+    """Return a command's model of a Gymnasium environment."""
     gymnasium = optional_module("gymnasium", "gym")
     name, *words = asked.model.removeprefix(ENVIRONMENT).split(",")
     arguments = {key: _value_for_model(word) for key, _, word in (w.partition("=") for w in words)}
@@ -166,7 +174,7 @@ def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
     """
     criterion = getattr(ssp_lp, CRITERIA[asked.criterion])
     takes = {field.name: field for field in fields(criterion) if field.name in PARAMETERS}
-    given = {name: getattr(asked, name) for name in PARAMETERS if name in vars(asked)}
+    given = attributes_of(asked, *PARAMETERS)
     for name in given:
         if name not in takes:
             options = ", ".join(map(option, takes)) or "none"
@@ -297,8 +305,8 @@ def with_property(asked: Namespace) -> Namespace:
         if len(steps) > 1 or any(one.steps is None and one.target == goal for one in operators):
             raise ModelError(f"{asked.property}: all operators must have the same number of steps")
         told["horizon"] = int(*steps)
-    for name in ("goal", "cost"):
-        if getattr(asked, name) and name in told and getattr(asked, name) != told[name]:
+    for name, stated in (("goal", asked.goal), ("cost", asked.cost)):
+        if stated and name in told and stated != told[name]:
             raise ModelError(f"--{name} contradicts the property {asked.property}")
     return _asking(asked, **{name: word for name, word in told.items() if word is not None})
 
@@ -402,6 +410,9 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
 _WORTH_PROCESSES = 100_000  # outcomes of a model that takes longer to solve than a process to start
 
 
+_OF_ONE_ANSWER = "policy_out", "certificate_out", "plot", "show_policy"
+
+
 def _several_answers(
     asked: Namespace, of: _CommandModel, budgets: Sequence[float | None], search: Mapping[str, Any]
 ) -> Iterable[str]:
@@ -410,8 +421,8 @@ def _several_answers(
     Raises:
         ModelError: an output that belongs to a single answer.
     """
-    for name in ("policy_out", "certificate_out", "plot", "show_policy"):
-        if getattr(asked, name):
+    for name, output in attributes_of(asked, *_OF_ONE_ANSWER).items():
+        if output:
             raise ModelError(f"{option(name)} needs a single answer: give one --failure-budget")
     problems = [problem_of(_asking(asked, failure_budget=budget), of) for budget in budgets]
     executor = ThreadPoolExecutor(1) if of.model.n_outcomes < _WORTH_PROCESSES else None
@@ -450,14 +461,16 @@ def _check_command(asked: Namespace) -> Iterable[str]:
 def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
     """Return a command's solution as a table for other programs."""
     members = zip(solution.policy.weights.tolist(), solution.policy.policies, strict=True)
-    names = ("goal_probability", "failure_probability", "conditional_cost", "expected_cost")
     return {
         "criterion": type(solution.problem).__name__,
         "objective": solution.objective,
         "lower_bound": solution.lower_bound if solution.upper_bound is None else None,
         "upper_bound": solution.upper_bound,
         "gap": solution.gap,
-        **{name: getattr(solution.evaluation, name) for name in names},
+        "goal_probability": solution.goal_probability,
+        "failure_probability": solution.failure_probability,
+        "conditional_cost": solution.conditional_cost,
+        "expected_cost": solution.expected_cost,
         "failure_price": solution.failure_price,
         "limits": {
             name: {"value": value, "price": solution.prices.get(name, 0.0)}
@@ -465,13 +478,16 @@ def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
         },
         "ends": dict(solution.evaluation.ends),
         "policy": [{"weight": weight, **_decisions(member)} for weight, member in members],
-        **{name: getattr(solution, name) for name in ("method", "seconds", "note")},
+        "method": solution.method,
+        "seconds": solution.seconds,
+        "note": solution.note,
     }
 
 
 def _decisions(policy: Policy) -> dict[str, Any]:
     """Return the decisions that a command prints, by state; of other policies their repr."""
-    inner = getattr(policy, "inner", policy)
+    carrying = RememberingPolicy | LabelledPolicy | CompletePolicy
+    inner = policy.inner if isinstance(policy, carrying) else policy
     if not isinstance(inner, ssp_lp.DeterministicPolicy):
         return {"kind": repr(policy)}
     return {"actions": {str(state): str(action) for state, action in inner.actions().items()}}
@@ -482,8 +498,13 @@ _LISTED = 8  # actions that ``info`` names
 
 def _traced_frontier(asked: Namespace, of: _CommandModel) -> ssp_lp.Frontier:
     """Return the frontier that a command traces."""
-    limits = {name: getattr(asked, name) for name in ("gap", "point_limit", "time_limit")}
-    return ssp_lp.trace_frontier(problem_of(asked, of), asked.over, **limits)
+    return ssp_lp.trace_frontier(
+        problem_of(asked, of),
+        asked.over,
+        gap=asked.gap,
+        point_limit=asked.point_limit,
+        time_limit=asked.time_limit,
+    )
 
 
 def _explore_command(asked: Namespace) -> Iterable[str]:
@@ -491,8 +512,8 @@ def _explore_command(asked: Namespace) -> Iterable[str]:
     asked = with_property(asked)
     found = command_model(asked)
     traced = _traced_frontier(asked, found)
-    world = getattr(found.environment, "unwrapped", None)
-    drawn: Any = getattr(world, "desc", ())  # a map in letters
+    world = None if found.environment is None else found.environment.unwrapped
+    drawn = attributes_of(world, "desc").get("desc", ())  # a map in letters
     rows, columns = len(drawn), len(drawn[0]) if len(drawn) else 0
     is_map = rows * columns == found.model.n_states
     cells = row_major(rows, columns) if is_map else None
@@ -506,8 +527,8 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
     asked = with_property(asked)
     traced = _traced_frontier(asked, command_model(asked))
     if figure is not None:
-        budget = getattr(asked, "failure_budget", None) if traced.over == "failure" else None
-        plot_frontier(traced, budget, ax=figure.subplots())
+        stated = attributes_of(asked, "failure_budget") if traced.over == "failure" else {}
+        plot_frontier(traced, stated.get("failure_budget"), ax=figure.subplots())
         figure.savefig(asked.plot)
     (table,) = traced.tables()
     if asked.json:
@@ -544,7 +565,7 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
     found = command_model(asked)
     problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
     policy = io.load_policy(asked.policy, problem.unrolled.model, check=asked.check)
-    settings = {name: getattr(asked, name) for name in ("episodes", "max_steps", "confidence")}
+    settings = attributes_of(asked, "episodes", "max_steps", "confidence")
     report: Any
     if found.environment is not None:
         report = io.rollout(found.environment, policy, seed=asked.seed, **settings)

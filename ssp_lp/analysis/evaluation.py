@@ -77,8 +77,8 @@ class Evaluation(Facts):
         return self.failure_probability if surrogate is None else surrogate
 
     def __post_init__(self) -> None:
-        for name in ("ends", "secondary_costs"):
-            object.__setattr__(self, name, ByName(getattr(self, name)))
+        for name, numbers in (("ends", self.ends), ("secondary_costs", self.secondary_costs)):
+            object.__setattr__(self, name, ByName(numbers))
 
     def tables(self) -> list[Table]:
         """Return a table of the objective, the ends of episodes, and the costs."""
@@ -653,9 +653,7 @@ def state_give_up_charges(
     if semantics.give_up is GiveUp.DEAD_ENDS:  # otherwise giving up costs as little as staying
         free = costless_pairs(model) if free is None else free
         wandering = model.staying_free(free)
-    return model.of_all_states(
-        give_up_charges(model, attention_states(model), wandering, semantics)
-    )
+    return model.of_all_states(give_up_charges(model, wandering, semantics))
 
 
 def entering_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:

@@ -9,7 +9,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
@@ -160,6 +160,7 @@ def pairs_taken(policy: MixedPolicy, model: SSP) -> BoolArray | None:
 _LOG = logging.getLogger("ssp_lp.simulation")
 
 
+@runtime_checkable
 class Simulator(Protocol):
     """A world in which episodes are played, many at a time."""
 

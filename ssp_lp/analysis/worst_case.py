@@ -11,7 +11,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, segment_sums
 from ssp_lp.errors import ModelError
 from ssp_lp.model.boxes import Boxes, greatest_mean
-from ssp_lp.model.graph import attention_states, dead_ends, end_marks
+from ssp_lp.model.graph import dead_ends, end_marks
 from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.policies.boxed_chain import BoxedChain, boxed_chain
 from ssp_lp.policies.policy import MixedPolicy, Policy, as_lottery
@@ -169,7 +169,5 @@ def worst_charges(semantics: FailureSemantics, boxes: Boxes) -> tuple[FloatArray
     wandering = np.zeros(model.n_states, dtype=np.bool_)
     if semantics.give_up is GiveUp.DEAD_ENDS:
         wandering = model.staying_free(costless_pairs(model))
-    setting = model, attention_states(model), wandering, semantics
-    return give_up_charges(*setting, costs), dead_end_charges(
-        model, dead_ends(model), semantics, costs
-    )
+    stopping = give_up_charges(model, wandering, semantics, costs)
+    return stopping, dead_end_charges(model, dead_ends(model), semantics, costs)

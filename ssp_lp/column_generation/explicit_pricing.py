@@ -52,7 +52,6 @@ from ssp_lp.processes.explicit_process import (
     ExplicitProcess,
     bound_of,
     contract,
-    least_constant,
 )
 from ssp_lp.processes.failure_label import FailureLabelled
 
@@ -266,8 +265,7 @@ class ExplicitPricing(PricingProblem):
         size = weighted(np.abs(self.rewards), np.abs(weights))
         priced -= weighted_rounding(self.rewards, weights) * size  # a bound rounds down
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0 is a weak bound
-        floor = least_constant(self.process, priced) if self.by_goal or self.rows else 0.0
-        return bound_of(self.process, self.contracted(weights), priced, values, floor, choice)
+        return bound_of(self.process, self.contracted(weights), priced, values, choice=choice)
 
     def check_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
@@ -295,8 +293,7 @@ class ExplicitPricing(PricingProblem):
             cost, cost + self.rewards[:, 1:] @ weights[1:], ratio * process.goal
         )
         values = values_less_paid(np.where(np.abs(values) <= LARGEST, values, 0.0), paid)
-        floor = min(-paid, least_constant(process, left))
-        return bound_of(process, self.contracted(counted), left, values, floor)
+        return bound_of(process, self.contracted(counted), left, values)
 
     def pulled_back(self, column: Column) -> Policy:
         """Return the policy of a column's choice, on the original states."""

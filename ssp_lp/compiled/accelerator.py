@@ -291,7 +291,8 @@ def cached_loops() -> set[str]:
 
     Only numba, once loaded, can tell whether the file contains the needed types.
     """
-    ending = f".py{sys.version_info[0]}{sys.version_info[1]}{getattr(sys, 'abiflags', '')}.nbi"
+    flags = "" if sys.platform == "win32" else sys.abiflags
+    ending = f".py{sys.version_info[0]}{sys.version_info[1]}{flags}.nbi"
     found = set[str]()
     for index in (index for place in cache_folders() for index in place.glob(f"*-*{ending}")):
         name = index.name.partition("-")[0]

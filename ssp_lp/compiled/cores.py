@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -113,7 +114,7 @@ def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
 
 def _has_idle_cores() -> bool:
     """Return whether the machine's load of the last minute leaves idle cores."""
-    if not hasattr(os, "getloadavg"):
+    if sys.platform == "win32":
         return True
     return os.getloadavg()[0] < (os.cpu_count() or 1) + _OTHERS
 

@@ -15,15 +15,21 @@ from numba.core import event
 from ssp_lp.compiled.accelerator import give_up_compiling
 
 
+class _LockDepth(threading.local):
+    """Number of times that a thread holds numba's compiler lock."""
+
+    depth = 0
+
+
 class _Compiling(event.Listener):
     """Listener on numba's compiler lock, which is held while anything is compiled or loaded."""
 
     def __init__(self) -> None:
-        self._thread = threading.local()
+        self._thread = _LockDepth()
 
     def on_start(self, event: Any) -> None:
         """Note the exception that the caller is handling, if any, when the lock is taken."""
-        self._thread.depth = getattr(self._thread, "depth", 0) + 1
+        self._thread.depth = self._thread.depth + 1
         if self._thread.depth == 1:
             self._thread.handled = sys.exc_info()[1]
 

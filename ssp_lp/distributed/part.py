@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, offsets_of, read_only
+from ssp_lp.arrays import FloatArray, IntArray, fields_of, offsets_of, read_only
 from ssp_lp.distributed.ranks import Halo, Ranks
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
@@ -100,7 +100,7 @@ class Part(SSP):
         more = np.setdiff1d(np.array([*numbers], dtype=np.int64), self.halo.numbers)
         halo = Halo(self.halo.ranks, self.halo.n_own, np.append(self.halo.ghosts, more))
         offsets = np.append(self.pair_offsets, np.full(len(more), self.n_pairs))
-        kept = {one.name: getattr(self, one.name) for one in fields(SSP)} | _named(halo, self.sets)
+        kept = fields_of(self, SSP) | _named(halo, self.sets)
         kept |= {"pair_offsets": read_only(offsets), "goal_mask": halo.filled(self.goal_mask)}
         facts = {name: halo.filled(fact) for name, fact in self.facts.items()}
         return Part(**kept, halo=halo, sets=self.sets, facts=facts)
@@ -140,13 +140,15 @@ def made_part(
         places = np.where(inside, successors - first, -1)  # invalid states are reported below
         places[remote] = n_own + np.searchsorted(ghosts, successors[remote])
         numbers = np.append(np.arange(first, end), ghosts)
-        arrays = {
+        arrays: dict[str, Any] = {
             "pair_offsets": offsets_of(np.append(own.actions, np.zeros(len(ghosts), np.int64))),
             "outcome_offsets": offsets_of(np.asarray(own.outcomes)),
             "successors": places.astype(np.int32),
             "goal_states": np.flatnonzero(np.isin(numbers, goals)),
             "treat_actionless_as_dead_ends": True,
-            **{name: getattr(own, name) for name in ("probabilities", "costs", "named_costs")},
+            "probabilities": own.probabilities,
+            "costs": own.costs,
+            "named_costs": own.named_costs,
         }
         try:
             return SSP.from_arrays(**arrays), ghosts
@@ -155,7 +157,7 @@ def made_part(
 
     plain, ghosts = ranks.agreed(made)
     halo = Halo(ranks, end - first, ghosts)
-    kept = {one.name: getattr(plain, one.name) for one in fields(SSP)} | _named(halo, sets)
+    kept = fields_of(plain, SSP) | _named(halo, sets)
     part = Part(**kept, halo=halo, sets=sets)
     goal, every = part.goal_mask, np.ones(part.n_pairs, dtype=np.bool_)
     lost = part.facts["hopeless_states"] = ~halo.reaching(part.graph, goal)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from zlib import crc32
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import RELATIVE_GAP, FloatArray, IntArray, ReadOnlyCopies, read_only
+from ssp_lp.arrays import RELATIVE_GAP, FloatArray, IntArray, ReadOnlyCopies, fields_of, read_only
 from ssp_lp.column_generation.column import two_sided_gap
 from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.distributed.part import Part, balanced_bounds, made_part
@@ -286,11 +286,11 @@ class PartitionedModel:
             """Return a row with the numbers of the first rank, as sums may differ by rounding."""
             if row is None:
                 return None
-            own = {name: getattr(row, name) for name in ("constant", "bound", "offset")}
+            own = {"constant": row.constant, "bound": row.bound, "offset": row.offset}
             return replace(row, direct=told(row.direct), **self.ranks.comm.bcast(own))
 
         plain = self.ranks.agreed(lambda: compiled_constrained(problem))
-        stated = {one.name: getattr(plain, one.name) for one in fields(plain)}
+        stated = fields_of(plain, plain)
         stated["side"], stated["objective"] = tuple(map(told, plain.side)), told(plain.objective)
         return CompiledPartitioned(**stated, more=more)
 

@@ -41,14 +41,14 @@ from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.errors import ModelError, wrong_argument
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states, end_components, goal_pairs
+from ssp_lp.model.graph import end_components, goal_pairs
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 from ssp_lp.policies.remembering import TimedPolicy
 from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
-    GiveUp,
     dead_end_charges,
     give_up_charges,
+    giving_up_states,
 )
 from ssp_lp.processes.goal_reach import least_goal_reach
 from ssp_lp.processes.live_rows import cost_means, costless_pairs, successor_means
@@ -240,15 +240,10 @@ def label_process(
         The process, with E[G_o] as ``gain_cost`` and E[G_{d,gamma}] as ``failure`` of its pairs;
         and J_obj of start mass on dead-ends.
     """
-    attention = attention_states(model)
     wandering = end_components(model, costless_pairs(model))[0] >= 0
-    exits = {
-        GiveUp.ANYWHERE: ~model.goal_mask,
-        GiveUp.ATTENTION: attention,
-        GiveUp.DEAD_ENDS: np.zeros(model.n_states, dtype=np.bool_),
-    }[semantics.give_up]
+    exits = giving_up_states(model, semantics.give_up)
     quotient = build_quotient(model, exits=exits | wandering)
-    charge = quotient.least_over_members(give_up_charges(model, attention, wandering, semantics))
+    charge = quotient.least_over_members(give_up_charges(model, wandering, semantics))
     entering = dead_end_charges(model, quotient.dead, semantics)
     paid = quotient.at_pairs(cost_means(model), charge)
     lost = quotient.at_pairs(successor_means(model, quotient.dead))

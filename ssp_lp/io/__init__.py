@@ -30,5 +30,5 @@ from ssp_lp.io.storm_models import from_stormpy as from_stormpy, read_with_storm
 __all__ = sorted(
     name
     for name, value in globals().items()
-    if getattr(value, "__module__", "").startswith("ssp_lp.")
+    if callable(value) and value.__module__.startswith("ssp_lp.")
 )

@@ -23,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp import policies
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, fields_of, read_only
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import Argument, ModelError
+from ssp_lp.errors import Argument, ModelError, attributes_of
 from ssp_lp.io.controller import controller_label
 from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.model import SSP
@@ -199,7 +199,7 @@ def save_model(model: SSP, path: FilePath) -> None:
         "exact_costs": [[cost, str(exact)] for cost, exact in model.exact_costs.items()],
         "named_costs": list(model.named_costs),
     }
-    found = {name: getattr(model, name) for name in _ARRAYS if hasattr(model, name)} | {
+    found = attributes_of(model, *_ARRAYS) | {
         "costs": model.costs[:1] if uniform else model.costs,
         "goal_states": np.flatnonzero(model.goal_mask),
         "label_offsets": np.cumsum([0, *(len(at) for at in members)]),
@@ -460,10 +460,14 @@ class _PolicyRecords:
         stated = model
         if (labelled := model.failure_label) is not None:
             stated, n = labelled.original, labelled.n_original
-            names = ("open_pairs", "charged", "costs", "free_pairs")
-            masks = {name: self.add_array(getattr(labelled, name)) for name in names}
-            masks["stops"] = self.add_array(labelled.stops[:n])
-            label = {**masks, "charges": labelled.charges}
+            label = {
+                "open_pairs": self.add_array(labelled.open_pairs),
+                "charged": self.add_array(labelled.charged),
+                "costs": self.add_array(labelled.costs),
+                "free_pairs": self.add_array(labelled.free_pairs),
+                "stops": self.add_array(labelled.stops[:n]),
+                "charges": labelled.charges,
+            }
         if isinstance(stated, HorizonSSP):
             begin = np.flatnonzero(stated.table[:, 0] >= 0)
             horizon = {
@@ -492,16 +496,15 @@ class _PolicyRecords:
             return self._known[id(policy)]
         name = next((name for name, kind in _CLASSES.items() if kind is type(policy)), None)
         if name is None:
-            own = ": save its .policy instead" if hasattr(policy, "policy") else ""
+            own = ": save its .policy instead" if isinstance(policy, Solution) else ""
             kind = type(policy).__name__
             raise ModelError(f"a {kind} cannot be saved, its class is unknown{own}")
         record: dict[str, Any] = {"kind": name}
-        for part in fields(_CLASSES[name]):
-            value = getattr(policy, part.name)
+        for part, value in fields_of(policy, policy).items():
             if isinstance(value, SSP):
                 self._models[id(value)] = value
             else:
-                record[part.name] = self._stated(value)
+                record[part] = self._stated(value)
         self._records.append(record)
         return self._known.setdefault(id(policy), len(self._records) - 1)
 
@@ -540,7 +543,7 @@ def save_solution(solution: Solution, path: FilePath) -> None:
     header = records.header(solution.policy)
     header["problem"] = _solution_words(problem)
     header["start"] = records.add_array(start_distribution(problem.model, problem.start))
-    header["numbers"] = {name: getattr(solution, name) for name in _NUMBERS}
+    header["numbers"] = attributes_of(solution, *_NUMBERS)
     header["prices"] = {name: float(price) for name, price in solution.prices.items()}
     header["value_function"] = None if values is None else records.add_array(np.asarray(values))
     header["run"], header["status"] = asdict(solution.run), solution.status.name
@@ -638,8 +641,9 @@ def fingerprint(model: SSP) -> str:
         '91f3cedaabf4992f'
     """
     digest = sha256(_FINGERPRINT_VERSION.encode())
-    for name in ("pair_offsets", "outcome_offsets", "successors", "pair_action", "goal_mask"):
-        _fingerprint_array(digest.update, name, getattr(model, name), "<i8")
+    structure = "pair_offsets", "outcome_offsets", "successors", "pair_action", "goal_mask"
+    for name, array in attributes_of(model, *structure).items():
+        _fingerprint_array(digest.update, name, array, "<i8")
     costs = {f"cost {name!r}": costs for name, costs in model.named_costs.items()}
     numbers = {"probabilities": model.probabilities, "costs": model.costs, **costs}
     for name, array in numbers.items():
@@ -723,7 +727,7 @@ def stated_value(label: Hashable) -> Any:
         case tuple():
             return [stated_value(part) for part in label]
     if is_dataclass(label) and not isinstance(label, type):
-        parts = {part.name: stated_value(getattr(label, part.name)) for part in fields(label)}
+        parts = {name: stated_value(part) for name, part in fields_of(label, label).items()}
         return {"class": type(label).__qualname__, "fields": parts}
     return label_value(label)
 

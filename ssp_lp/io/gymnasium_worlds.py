@@ -30,12 +30,14 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
+    fields_of,
     offsets_of,
     read_only,
 )
 from ssp_lp.errors import (
     Argument,
     ModelError,
+    attributes_of,
     check_between_0_and_1,
     check_whole,
     did_you_mean,
@@ -123,7 +125,7 @@ class GridSSP(EnvironmentSSP):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle a plain model: an environment's steps belong to one process."""
-        return partial(SSP, **_fields_of(self)), ()
+        return partial(SSP, **fields_of(self, SSP)), ()
 
     def seen(self, env: Any, observation: Any) -> tuple[float, ...]:
         """Return the Gymnasium environment's coordinates, unrounded, instead of its observation."""
@@ -239,7 +241,7 @@ def from_gymnasium(
             goal = partial(_is_in_cells, grid, {*no_lone_string(goal, "goal")})
         continuous = continuous_from_gymnasium(env, grid, goal=goal, cost=paid)
         plain = discretise(continuous, Quadrature(_POINTS)).with_dead_ends(dead_ends)
-        model = GridSSP(**_fields_of(plain), world=continuous, is_goal=goal, step_cost=paid)
+        model = GridSSP(**fields_of(plain, SSP), world=continuous, is_goal=goal, step_cost=paid)
         points = start if isinstance(start, Mapping) else {start: 1.0}
         begin = {grid.cell_of(cast("tuple[float, ...]", p)): w for p, w in points.items()}
     logging.getLogger("ssp_lp.building").info("%r", model)
@@ -304,15 +306,15 @@ def continuous_from_gymnasium(
     _step_limit_of(env)
     bare: Any = env.unwrapped
     bare.reset(seed=0)
-    state: Any = getattr(bare, "state", None)
+    state: Any = attributes_of(bare, "state").get("state")
     if np.shape(state) != (len(grid.axes),):
         raise ModelError(
             f"{_name_of(env)}: env.unwrapped.state must be {len(grid.axes)} coordinates, one for "
             f"each axis, not {in_short(state)}"
         )
-    if not hasattr(bare.action_space, "n"):
+    if not isinstance(bare.action_space, optional_module("gymnasium.spaces", "gym").Discrete):
         raise ModelError(f"{_name_of(env)} has no discrete actions: {bare.action_space}")
-    first = int(getattr(bare.action_space, "start", 0))
+    first = int(bare.action_space.start)
     kind = np.asarray(state).dtype
 
     def step(point: Coordinates, action: Hashable, noise: Coordinates) -> Any:
@@ -350,7 +352,7 @@ def _step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
         ModelError: the argument is no environment.
     """
     base, wrappers = (optional_module(name, "gym") for name in ("gymnasium", "gymnasium.wrappers"))
-    if not hasattr(env, "unwrapped"):
+    if not attributes_of(env, "unwrapped"):
         message = "an environment is needed, such as gymnasium.make('FrozenLake-v1'), not "
         raise ModelError(f"{message}{in_short(env)}")
     limits, layer = [], env
@@ -386,7 +388,7 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
     Raises:
         ModelError: no table, a wrong outcome, or probabilities that do not sum to one.
     """
-    listed = getattr(env.unwrapped, "P", None)
+    listed = attributes_of(env.unwrapped, "P").get("P")
     if listed is None:
         raise ModelError(
             f"{_name_of(env)} is not tabular: it has no table of transitions, env.unwrapped.P; "
@@ -450,10 +452,11 @@ def _start_of(
 ) -> dict[Hashable, float]:
     """Return the states in which the environment's episodes begin, with probabilities."""
     if start is None:
-        shares = getattr(env.unwrapped, "initial_state_distrib", None)
-        if shares is None:
+        declared = attributes_of(env.unwrapped, "initial_state_distrib")
+        if not declared:
             message = "the environment has no initial_state_distrib: give "
             raise ModelError(message, Argument("start"))
+        shares = declared["initial_state_distrib"]
         start = dict(zip(_keys(shares), map(float, _values(shares)), strict=True))
     if not isinstance(start, Mapping):
         return {_plain(start): 1.0}
@@ -537,12 +540,7 @@ def _model_of_table(
         treat_actionless_as_dead_ends=True,
         normalise=True,
     )
-    return EnvironmentSSP(**_fields_of(plain), step_cost=cost)
-
-
-def _fields_of(model: SSP) -> dict[str, Any]:
-    """Return the fields of a plain model, for the model of a Gymnasium environment."""
-    return {name: getattr(model, name) for name in SSP.__dataclass_fields__}
+    return EnvironmentSSP(**fields_of(plain, SSP), step_cost=cost)
 
 
 def _costs_of_outcomes(
@@ -616,7 +614,7 @@ class RolloutReport(Facts, ReadOnlyCopies):
         return [
             Table([
                 ("episodes", self.episodes),
-                ("ends", {name: getattr(self, name) for name in _ENDS}),
+                ("ends", attributes_of(self, *_ENDS)),
                 ("goal probability", self.goal_probability),
                 ("failure probability", self.failure_probability),
                 ("cost given success", self.conditional_cost),

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ssp_lp.errors import Argument, ModelError, optional_module
+from ssp_lp.errors import Argument, ModelError, attributes_of, optional_module
 from ssp_lp.io.model_files.raw_model import (
     DEADLOCK,
     FIRST_COST,
@@ -131,7 +131,7 @@ def _explored_program(
             raise ModelError(f"{source}: there must be one condition, not {len(parsed)}")
         return parsed[0]
 
-    labels = [label.name for label in getattr(program, "labels", ())]  # JANI's are variables
+    labels = [] if _is_jani(program) else [label.name for label in program.labels]
     listed = f" (labels: {', '.join(map(repr, labels))})" if labels else ""
     quoted = f'"{goal}"' if goal in (INITIAL, DEADLOCK, *labels) else goal
     formula = asked(f"{file}, goal {goal!r}{listed}", quoted)
@@ -166,9 +166,14 @@ def _explored_program(
     return answer
 
 
+def _is_jani(program: Any) -> bool:
+    """Return whether Storm's program is one of JANI, where labels and rewards are variables."""
+    return bool(attributes_of(program, "automata"))
+
+
 def _reward_names(program: Any) -> list[str]:
     """Return the reward names of Storm's program; in JANI these are its transient numbers."""
-    if hasattr(program, "reward_models"):
+    if not _is_jani(program):
         return sorted(reward.name for reward in program.reward_models)
     numbers = [v for v in program.global_variables if v.is_transient]
     return sorted(v.name for v in numbers if not v.expression_variable.has_boolean_type())
@@ -216,7 +221,7 @@ def _differs_between_outcomes(program: Any, cost: str) -> bool:
                 return str(value) if value.contains_variables() else value.evaluate_as_double()
         return 0.0
 
-    automata = getattr(program, "automata", ())
+    automata = program.automata if _is_jani(program) else ()
     edges = [edge for automaton in automata for edge in automaton.edges]
     return any(len({paid(destination) for destination in edge.destinations}) > 1 for edge in edges)
 
@@ -228,8 +233,10 @@ def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
         The names of their locations; None: the variable distinguishes no states.
     """
     added: dict[str, list[str] | None] = {}
-    automata = list(getattr(program, "automata", ()))
-    for variables in (getattr(program, "global_variables", ()), *(a.variables for a in automata)):
+    if not _is_jani(program):
+        return added
+    automata = list(program.automata)
+    for variables in (program.global_variables, *(a.variables for a in automata)):
         added |= {variable.name: None for variable in variables if variable.is_transient}
     for automaton in automata:
         places = [location.name for location in automaton.locations]
@@ -348,7 +355,7 @@ def _check_kind(kind: str, source: object) -> None:
 
 def _check_sparse(model: Any, source: str) -> None:
     """Raise :class:`ModelError` unless this is a sparse model of floats and of a supported kind."""
-    if not hasattr(model, "model_type"):
+    if not attributes_of(model, "model_type"):
         raise ModelError(f"{source} must be a model of stormpy, not {type(model).__name__}")
     _check_kind(model.model_type.name, source)
     if not model.is_sparse_model:

@@ -1,7 +1,7 @@
 """The table of approaches: each solves a class of problems and proves its solutions.
 
-A problem states its :class:`~ssp_lp.problem.Requirements`, an approach states the cases that it
-answers. ``solve`` and ``certify`` take the first approach of the table that answers the case.
+An approach states the cases that it answers. ``solve`` and ``certify`` take the first approach of
+the table that answers the case.
 :func:`refusal` explains why a method does not support a problem.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -38,7 +37,7 @@ from ssp_lp.methods.rounding import (
 )
 from ssp_lp.methods.rows import prove_limits, solve_constrained
 from ssp_lp.policies.cost_aware import levels_of
-from ssp_lp.problem import Problem, Requirements, TotalScale
+from ssp_lp.problem import Problem, TotalScale
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution
 
@@ -60,15 +59,10 @@ class Case:
         on_levels = levels_of(solution.policy.policies) is not None
         return Case(solution.problem, seconds, on_levels=on_levels)
 
-    @cached_property
-    def asks(self) -> Requirements:
-        """Requirements of the problem."""
-        return self.problem.requirements
-
     @property
     def has_cheapest_way(self) -> bool:
         """Whether the least total of a way to the goal bounds the optimum."""
-        return self.asks.counts_totals and not self.asks.least_failure
+        return self.problem.counts_totals and self.problem.failure_budget is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,26 +78,35 @@ class _Approach:
 
 def _is_on_rounded_costs(case: Case) -> bool:
     """Return whether costs are rounded: a law of costs with too many sums, without rows."""
-    asks, on_grid = case.asks, case.asks.totals is TotalScale.GRID
-    written_out = asks.rows or case.by_program or case.on_levels
-    return asks.law and on_grid and not written_out
+    problem, written_out = case.problem, case.by_program or case.on_levels
+    if problem.totals is not TotalScale.GRID or written_out:
+        return False
+    return problem.semantics.counts_law and not problem.has_rows
 
 
 def _is_split(case: Case) -> bool:
     """Return whether costs are split: case S with too many sums."""
-    return not case.by_program and is_split(case.problem, case.asks, case.seconds)
+    return not case.by_program and is_split(case.problem, case.seconds)
 
 
 APPROACHES = (
     _Approach(lambda case: case.by_game, solve_by_game, prove_within_budget),
     _Approach(_is_on_rounded_costs, solve_on_rounded_costs, prove_by_units, afresh=True),
     _Approach(_is_split, solve_on_split_costs, prove_by_units, afresh=True),
-    _Approach(lambda case: case.asks.is_risk, least_risk, prove_risk, afresh=True),
-    _Approach(lambda case: case.asks.several_rows, solve_constrained, prove_limits),
-    _Approach(lambda case: case.asks.aim is not Aim.LEAST_COST, extreme_goal, prove_goal),
-    _Approach(lambda case: case.asks.least_failure, cheapest_at_least_failure, prove_least_failure),
     _Approach(
-        lambda case: case.asks.ratio and coarser_unit(case.problem, case.asks) is not None,
+        lambda case: case.problem.semantics.risk is not None, least_risk, prove_risk, afresh=True
+    ),
+    _Approach(lambda case: case.problem.several_rows, solve_constrained, prove_limits),
+    _Approach(
+        lambda case: case.problem.semantics.aim is not Aim.LEAST_COST, extreme_goal, prove_goal
+    ),
+    _Approach(
+        lambda case: case.problem.failure_budget is None,
+        cheapest_at_least_failure,
+        prove_least_failure,
+    ),
+    _Approach(
+        lambda case: case.problem.ratio and coarser_unit(case.problem) is not None,
         solve_on_fine_lattice,
         prove_within_budget,
     ),
@@ -120,20 +123,20 @@ def approach_to(case: Case) -> _Approach:
 def refusal(problem: Problem, method: options.Method) -> ModelError | None:
     """Return the error of a method that does not support a problem; None: it does."""
     if isinstance(method, options.ColumnGeneration | options.LinearProgramming):
-        return None  # without computing the requirements
-    asks, named = problem.requirements, Argument("method", method.name)
+        return None
+    named = Argument("method", method.name)
     name = f"{type(problem).__name__}{' with limits' if problem.conditions else ''}"
     if isinstance(method, options.DeterministicPolicies) and (
-        asks.several_rows or asks.totals is TotalScale.SUMS or asks.law
+        problem.several_rows or problem.totals is TotalScale.SUMS or problem.semantics.counts_law
     ):
         return ModelError(named, f" is not available for {name}")
     if not isinstance(method, options.Game):
         return None
-    if asks.rows:
+    if problem.has_rows:
         return ModelError(named, f" supports no limits: use 'columns' or 'lp' for {name}")
-    if asks.ratio and problem.cost_cap is not None:
+    if problem.ratio and problem.cost_cap is not None:
         return ModelError("the game chooses its own cap M: leave ", Argument("cost_cap"), " out")
-    if method.tail is not None and not asks.ratio:
+    if method.tail is not None and not problem.ratio:
         return ModelError(f"a tail is for a cost given success, not {name}: leave it out")
     try:
         checked_setting(problem)

@@ -77,7 +77,6 @@ from ssp_lp.problem import (
     Problem,
     Restated,
     budget_of_share,
-    check_numbers,
     check_problem,
     compiled_constrained,
     pulled_back,
@@ -183,11 +182,11 @@ def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
         ModelError: it cannot, as no limit of this name bounds from above, or the criterion is no
             linear program.
     """
-    name, asked = type(problem).__name__, problem.requirements
+    name, semantics = type(problem).__name__, problem.semantics
     if over == FAILURE_ROW:
-        if asked.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
+        if semantics.aim is not Aim.LEAST_COST or semantics.forbids_failing:
             raise ModelError(f"{name} has no failure budget to trace: trace MCMP instead")
-        if not asked.rows:
+        if not problem.has_rows:
             return problem
     else:
         names = [condition.name for condition in problem.conditions]
@@ -200,7 +199,7 @@ def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
         if problem.conditions[names.index(over)].lower is not None:
             raise ModelError(f"limit {over!r} bounds from below: state it as an upper limit, such "
                              "as 1 - end_probability(...) <= 0.1, to trace it")  # fmt: skip
-    if asked.is_risk:
+    if semantics.risk is not None:
         raise ModelError(f"{name} is not a linear program: trace the limit with another criterion")
     if limits.steepest_price is not None:
         raise ModelError(Argument("steepest_price"), " is for the failure budget alone")
@@ -416,7 +415,8 @@ class Frontier(Report):
 
     def _locate(self, budget: float) -> tuple[int, float]:
         """Return the turning point at or before a budget, and the weight of the next one."""
-        check_numbers(budget=budget)
+        if not is_number(budget):
+            raise wrong_argument("budget", "be a number", budget)
         if self.over == FAILURE_ROW and budget > 1.0 + LEAST_BUDGET:
             raise ModelError(f"budget must be a probability, not {budget!r}{as_percentage(budget)}")
         lowest, spent = float(self.spent[0]), self.spent
@@ -710,10 +710,10 @@ def _traced_by_columns(problem: Problem, limits: TraceLimits) -> Frontier:
         InfeasibleError: case S, and the goal cannot be reached from the start.
         Stop: the time limit was reached before the first point.
     """
-    name, asked = type(problem).__name__, problem.requirements
-    if asked.law:
+    name, semantics = type(problem).__name__, problem.semantics
+    if semantics.counts_law:
         raise ModelError(f"{name} has no expected cost to trace: trace S3P instead")
-    if asked.several_rows:
+    if problem.several_rows:
         raise ModelError(
             f"{name} has too many distinct total costs and no common unit: round the costs, "
             "or trace MCMP instead"

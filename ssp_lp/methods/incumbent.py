@@ -69,7 +69,7 @@ class Incumbent:
         """
         if self.solution is not None:
             return self
-        if not self.stated.requirements.counts_totals:
+        if not self.stated.counts_totals:
             return None
         problem = self.stated.unrolled
         for at_least_failure in (False, True):  # the cheapest policy may fail always
@@ -92,7 +92,7 @@ class Incumbent:
 
         The prices and values that prove the search's bound are kept.
         """
-        if not self.stated.requirements.counts_totals:
+        if not self.stated.counts_totals:
             return other
         best, bound = self.solution or other, worth_bound(self.stated.unrolled)
         sign = 1.0 if other.upper_bound is None else -1.0

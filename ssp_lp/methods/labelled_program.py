@@ -52,7 +52,7 @@ def program_of(
         the costs have too many sums for an exact program.
         InfeasibleError: the budget is below the least failure.
     """
-    if problem.requirements.is_risk:
+    if problem.semantics.risk is not None:
         raise ModelError(
             f"{type(problem).__name__} is not a linear program but a search over many: "
             "use CostBoundedReach(...).program() for one fixed cost"

@@ -125,7 +125,7 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
 
 
 def _risk_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
-    """Return the measure of a problem of risk (``problem.requirements.is_risk``)."""
+    """Return the measure of a problem of risk (``problem.semantics.risk``)."""
     return cast("CostQuantileOf | TailMeanOf", problem.semantics.risk)
 
 
@@ -371,7 +371,7 @@ def question_of(problem: Problem) -> _Question:
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
     """
-    if not problem.requirements.several_rows:
+    if not problem.several_rows:
         return question_of_compiled(compiled_totals(problem), problem.failure_budget)
     compiled = compiled_constrained(problem).settled()
     budget, typical = compiled.budget, compiled.typical_cost

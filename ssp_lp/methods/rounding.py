@@ -70,7 +70,7 @@ from ssp_lp.model.graph import dead_ends, goal_approach, kept
 from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, Requirements, Restated, TotalScale, compiled_constrained
+from ssp_lp.problem import Problem, Restated, TotalScale, compiled_constrained
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.live_rows import uniform_cost
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
@@ -173,7 +173,7 @@ def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
         InfeasibleError: no policy satisfies the budget.
         Stop: the time limit was reached before a policy satisfied the budget.
     """
-    coarse = coarser_unit(problem, problem.requirements)
+    coarse = coarser_unit(problem)
     if coarse is None or options.deterministic or options.program:
         return best_within_budget(problem, options)
     return refine(_lattice_attempts(problem, options, *coarse), options.tolerance)
@@ -395,21 +395,20 @@ def _unit_of_steps(model: SSP) -> tuple[float, float, Fraction, Fraction]:
     return float(costs.min(initial=np.inf)), mean, units[0], units[1]
 
 
-def coarser_unit(problem: Problem, asked: Requirements) -> tuple[Fraction, bool] | None:
+def coarser_unit(problem: Problem) -> tuple[Fraction, bool] | None:
     """Return a coarser unit for a first solve on a lattice of many exact totals.
 
     Args:
         problem: the problem.
-        asked: its requirements.
 
     Returns:
         The unit, at most the least step, and whether it is the unit of most costs. None: it does
         not help, or the problem is not case S with a limit on failure alone.
     """
-    is_mean = asked.ratio and not (asked.law or asked.rows or asked.least_failure)
-    is_exact = asked.totals in (TotalScale.UNITS, TotalScale.SUMS) and problem.cost_cap is None
+    if not problem.is_mean_within_budget or problem.cost_cap is not None:
+        return None
     model = problem.model
-    if not (is_mean and is_exact) or model.n_outcomes < _OUTCOMES or uniform_cost(model):
+    if problem.totals is TotalScale.GRID or model.n_outcomes < _OUTCOMES or uniform_cost(model):
         return None
     begins = goal_approach(model)[1][start_distribution(model, problem.start) > 0.0]
     least, mean, unit, of_most = _unit_of_steps(model)
@@ -423,7 +422,7 @@ def coarser_unit(problem: Problem, asked: Requirements) -> tuple[Fraction, bool]
     return None
 
 
-def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> bool:
+def is_split(problem: Problem, seconds: float = np.inf) -> bool:
     """Return whether the costs of a problem must be split.
 
     They are split in case S with a limit on failure alone, if no step is far more expensive than
@@ -432,15 +431,15 @@ def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> 
 
     Args:
         problem: the problem.
-        asked: its requirements.
         seconds: time left.
     """
-    on_grid = asked.totals is TotalScale.GRID
-    is_mean = asked.ratio and not (asked.law or asked.rows or asked.least_failure)
-    if asked.totals is TotalScale.UNITS:
-        return seconds <= 0.0 and coarser_unit(problem, asked) is not None
-    is_timed = np.isfinite(seconds) and asked.totals is TotalScale.SUMS
-    if not (is_mean and (on_grid or is_timed)) or problem.cost_cap is not None:
+    on_grid = problem.totals is TotalScale.GRID
+    if problem.totals is TotalScale.UNITS:
+        return seconds <= 0.0 and coarser_unit(problem) is not None
+    is_timed = np.isfinite(seconds) and problem.totals is TotalScale.SUMS
+    if problem.cost_cap is not None or not (
+        problem.is_mean_within_budget and (on_grid or is_timed)
+    ):
         return False
     steps = step_costs(problem.model)[1]
     if len(steps) <= 1 or steps[-1] > _WIDEST * steps[1]:
@@ -499,7 +498,7 @@ def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction
         finest: down to the finest unit that fits, whatever ``cost_levels`` says.
     """
     cheapest = float(step_costs(problem.model)[1][1])
-    if coarse := coarser_unit(problem, problem.requirements):
+    if coarse := coarser_unit(problem):
         yield coarse[0]
     yield from rounding_units(problem, _span_of_steps(problem), cheapest=cheapest, finest=finest)
 
@@ -559,7 +558,7 @@ def _solved_on_lattice(
     problem: Restated, options: SolveOptions, near: Near | None = None
 ) -> Solution:
     """Solve a problem with rounded costs, whose totals lie on a lattice."""
-    if not problem.requirements.is_risk:
+    if problem.semantics.risk is None:
         solved = cheapest_at_least_failure if problem.failure_budget is None else best_within_budget
         return solved(problem, options)
     question = question_of_compiled(problem.compile(), problem.failure_budget)

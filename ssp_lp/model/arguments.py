@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence, Set
 from fractions import Fraction
 from functools import wraps
-from inspect import signature
+from inspect import get_annotations, signature
 from itertools import islice, repeat
 from numbers import Integral
 from os import PathLike
@@ -16,7 +16,15 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.errors import ModelError, SSPError, check_call, check_flag, in_short, is_number
+from ssp_lp.errors import (
+    ModelError,
+    SSPError,
+    attributes_of,
+    check_call,
+    check_flag,
+    in_short,
+    is_number,
+)
 
 _Given = ParamSpec("_Given")
 _Answer = TypeVar("_Answer")
@@ -65,9 +73,7 @@ _FITS: dict[Any, Callable[[Any], bool]] = {
     tuple: lambda value: isinstance(value, (tuple, list)),
     Iterable: lambda value: isinstance(value, Iterable) and not isinstance(value, str),
     Sequence: lambda value: (
-        hasattr(value, "__len__")
-        and hasattr(value, "__getitem__")
-        and not isinstance(value, (str, Mapping))
+        isinstance(value, Collection) and not isinstance(value, (str, Mapping, Set))
     ),
     np.ndarray: lambda value: (
         isinstance(value, (np.ndarray, list, tuple)) and _FITS[_Numbers](value)
@@ -141,7 +147,7 @@ def check_fields(made: object) -> None:
 def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
     """Return an error text for the first argument whose value misfits its annotation, or None."""
     names = {**vars(sys.modules[annotated.__module__]), "npt": _NUMPY}
-    for part, annotation in getattr(annotated, "__annotations__", {}).items():
+    for part, annotation in get_annotations(annotated).items():
         if part not in values:
             continue
         try:
@@ -166,9 +172,9 @@ def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | N
         inner = [fault for fault in faults if fault and not fault.startswith(f"{place} ")]
         return None if None in faults else inner[0] if inner else wrong
     if not _fits(value, kind, parts):
-        own = (name for name in ("policy", "model", "problem") if hasattr(value, name))
-        fit = (name for name in own if kind not in _WORDS and _fits(getattr(value, name), kind))
-        made = _MADE_BY.get(getattr(kind, "__name__", ""))
+        own = attributes_of(value, "policy", "model", "problem")
+        fit = (name for name, part in own.items() if kind not in _WORDS and _fits(part, kind))
+        made = _MADE_BY.get(_class_name(kind))
         default = f"; {made} makes one" if made else ""
         return wrong + next((f"; it has one: .{name}" for name in fit), default)
 
@@ -200,8 +206,6 @@ def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:
             return True
     if kind in _FITS:
         return _FITS[kind](value)
-    if getattr(kind, "_is_protocol", False):
-        return all(hasattr(value, name) for name in vars(kind) if not name.startswith("_"))
     return not isinstance(kind, type) or isinstance(value, kind)
 
 
@@ -212,6 +216,11 @@ def _goes_into(function: Callable[..., object], *arguments: Any) -> bool:
     except (TypeError, ValueError, OverflowError):
         return False
     return True
+
+
+def _class_name(kind: Any) -> str:
+    """Return the name of an annotated class; empty for any other annotation."""
+    return kind.__name__ if isinstance(kind, type) else ""
 
 
 def _in_words(hint: Any, *, several: bool = False) -> str:
@@ -227,7 +236,7 @@ def _in_words(hint: Any, *, several: bool = False) -> str:
     if kind in _WORDS:
         of = _in_words(parts[0], several=True) if kind in (Sequence, Iterable) and parts else ""
         return _WORDS[kind][several] + (f" of {of}" if of else "")
-    name = getattr(kind, "__name__", "")
+    name = _class_name(kind)
     if several or name in ("", "Any"):
         return "" if name == "Any" else name
     return f"{'an' if name[0] in 'AEIO' or name[:2].isupper() else 'a'} {name}"

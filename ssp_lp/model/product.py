@@ -21,6 +21,7 @@ from ssp_lp.arrays import (
     IntArray,
     concatenated_ranges,
     entries_of,
+    fields_of,
     least_integer_type,
     offsets_of,
     read_only,
@@ -369,7 +370,7 @@ def product(
     number = np.array([memories[kept] for _, kept in labels])
     fails = np.array([bool(memory.fails(kept)) for kept in memories])[number]
     refused = model.goal_mask[state] & ~fails & ~plain.goal_mask
-    fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
+    fields = fields_of(plain, SSP)
     copied = copied_parts(model, np.zeros(0, dtype=np.int64), plain.costs.astype(np.int64))
     fields |= {name: copied[name] for name in ("costs", "exact_costs", "named_costs", "original")}
     fields |= {

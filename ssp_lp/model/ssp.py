@@ -36,6 +36,7 @@ from ssp_lp.errors import (
     Argument,
     ModelError,
     ModelWarning,
+    attributes_of,
     check_whole,
     did_you_mean,
     in_short,
@@ -931,7 +932,8 @@ def check_model(model: object, verb: str) -> None:
         ModelError: a problem or something else; ``verb`` names the function that was called.
     """
     if not isinstance(model, SSP):
-        hint = "; it has one: .model" if isinstance(getattr(model, "model", None), SSP) else ""
+        inner = attributes_of(model, "model").get("model")
+        hint = "; it has one: .model" if isinstance(inner, SSP) else ""
         raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{hint}")
 
 
@@ -1110,7 +1112,7 @@ def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
     """
     if not isinstance(names, str):
         return list(zip(*(_column(table, name) for name in names), strict=True))
-    known = getattr(table, "columns", table)
+    known = attributes_of(table, "columns").get("columns", table)
     if isinstance(known, np.ndarray) or not isinstance(known, Iterable):
         raise ModelError(
             f"a table has columns by name, {{'state': [...], ...}}, and is not {in_short(table)}"
@@ -1123,7 +1125,7 @@ def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
 
 def _checked_cells(column: Any, name: str) -> list[Any]:
     """Return a column's cells as Python's own values; :class:`ModelError` for an empty cell."""
-    cells = column.tolist() if hasattr(column, "tolist") else list(column)
+    cells = column.tolist() if isinstance(column, np.ndarray) else list(column)
     for row, cell in enumerate(cells):
         if isinstance(cell, np.generic):
             cell = cells[row] = cell.item()

@@ -56,9 +56,10 @@ def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axe
         MissingDependencyError: matplotlib is not installed.
         ModelError: the argument is no axes.
     """
-    if ax is not None and not hasattr(ax, "plot"):
-        raise ModelError(f"ax must be axes of matplotlib, or None for a new figure, not {ax!r}")
     if ax is not None:
+        kind: type[Axes] = optional_module("matplotlib.axes", "plot").Axes
+        if not isinstance(ax, kind):
+            raise ModelError(f"ax must be axes of matplotlib, or None for a new figure, not {ax!r}")
         return ax
     pyplot = optional_module("matplotlib.pyplot", "plot")
     axes: Axes = pyplot.subplots(figsize=(width, height), layout="constrained")[1]
@@ -261,7 +262,7 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
         >>> record = BoundsRecord()
         >>> axes = plot_bounds(record, solve(MCMP(model, "s", 0.1), progress=record))
     """
-    if not hasattr(solution, "lower_bound"):
+    if not isinstance(solution, Solution):
         raise ModelError(f"plot_bounds takes a solution after its record, not {in_short(solution)}")
     if solution.problem.semantics.counts_law:
         name = type(solution.problem).__name__
@@ -291,7 +292,7 @@ def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: _Look, 
 def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
     """Return the lower bounds to plot, proved at the reports' prices; -inf: unknown, [reports]."""
     budget, semantics = problem.failure_budget, problem.semantics
-    if budget is None or problem.requirements.several_rows or semantics.aim is not Aim.LEAST_COST:
+    if budget is None or problem.several_rows or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)
     pricing, row = problem.compile().for_program().pricing(), FailureRow(budget, problem.ratio)
     best, proved = replace(pricing.first(), totals=None), []  # otherwise its own values are used

@@ -25,7 +25,7 @@ from ssp_lp.arrays import (
     offsets_of,
     segment_sums,
 )
-from ssp_lp.errors import ModelError, check_whole, in_short, wrong_argument
+from ssp_lp.errors import ModelError, attributes_of, check_whole, in_short, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
@@ -389,7 +389,7 @@ def check_policies(policies: Sequence[Any], parts: str) -> None:
     """Raise :class:`ModelError` unless all parts are policies on one model."""
     for one in policies:
         if not isinstance(one, Policy):
-            hint = "; pass solution.policy" if hasattr(one, "policy") else ""
+            hint = "; pass solution.policy" if attributes_of(one, "policy") else ""
             raise ModelError(f"a policy is needed, not {in_short(one)}{hint}")
         if one.model is not policies[0].model:
             raise ModelError(f"the {parts} must act on one model")

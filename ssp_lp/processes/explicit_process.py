@@ -156,7 +156,7 @@ def bound_of(
     smaller: Contraction | None,
     pair_cost: FloatArray,
     values: FloatArray,
-    floor: float = 0.0,
+    floor: float = -np.inf,
     choice: IntArray | None = None,
 ) -> DualBound:
     """Return a checked sub-solution of an explicit process, proved on its contraction.
@@ -166,7 +166,7 @@ def bound_of(
         smaller: the contraction at the cost, or None.
         pair_cost: [pairs].
         values: near-optimal values, [states].
-        floor: a constant that is a known sub-solution.
+        floor: a constant that is a known sub-solution, besides the greatest one.
         choice: a policy of about these values that leaves, [states].
     """
     # the least constant is optimal if the cheapest way to end costs the same everywhere;
@@ -182,7 +182,8 @@ def bound_of(
 def least_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
     """Return the greatest constant v with ``exit_u v <= c_u`` for every pair u.
 
-    It is a sub-solution. -inf: no constant is one, as a pair without exit has a negative cost.
+    It is a sub-solution, at least 0 if no cost is negative. -inf: no constant is one, as a pair
+    without exit has a negative cost.
 
     Args:
         process: the process.
@@ -190,10 +191,10 @@ def least_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
     """
     exits = process.dynamics.exits
     leaves = exits > 0.0
-    if not leaves.any() or (pair_cost[~leaves] < 0.0).any():
+    if (pair_cost[~leaves] < 0.0).any():
         return -np.inf
-    constant = float((pair_cost[leaves] / exits[leaves]).min())
-    return constant - 4.0 * MACHINE_EPSILON * abs(constant)
+    constant = float((pair_cost[leaves] / exits[leaves]).min(initial=np.inf))
+    return 0.0 if constant == np.inf else constant - 4.0 * MACHINE_EPSILON * abs(constant)
 
 
 def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
@@ -265,9 +266,7 @@ def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMin
         pair_cost: [pairs]; if it is negative for a pair that does not reach the goal, the minimum
             may be unbounded, with bound -inf.
     """
-    reached = process.goal > 0.0
-    floor = float((pair_cost[reached] / process.goal[reached]).min(initial=0.0))
-    gainful = bool((pair_cost[~reached] < 0.0).any())  # without a constant lower bound
+    gainful = bool((pair_cost[process.goal == 0.0] < 0.0).any())  # without a constant lower bound
     leaving = leaving_choice(process.dynamics, process.goal)
     rewards, weights = np.stack([pair_cost, process.goal], axis=1), np.array([1.0, 0.0])
     smaller = contract(process, pair_cost == 0.0)
@@ -282,9 +281,10 @@ def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMin
             totals = settled.totals[smaller.node_of]
     except SolverError:
         nothing = np.zeros(process.n_states), np.zeros(process.n_pairs)
-        return PricedMinimum(leaving, -np.inf if gainful else floor, 0.0, *nothing)
+        least = -np.inf if gainful else least_constant(process, pair_cost)
+        return PricedMinimum(leaving, least, 0.0, *nothing)
     values, goal = totals[:, 0], float(process.start @ totals[:, 1])
-    floor = -4.0 * float(np.abs(values).max(initial=0.0)) if gainful else floor
+    floor = -4.0 * float(np.abs(values).max(initial=0.0)) if gainful else -np.inf
     below = bound_of(process, smaller, pair_cost, values, floor)
     bound = below.at(process.start)
     if (

@@ -203,7 +203,6 @@ def dead_end_charges(
 
 def give_up_charges(
     model: SSP,
-    attention: BoolArray,
     wandering: BoolArray,
     semantics: FailureSemantics,
     costs: FloatArray | None = None,
@@ -211,28 +210,24 @@ def give_up_charges(
     """Return the charge of giving up in each state, [states]; infinite if not allowed.
 
     Args:
-        attention: attention states, [states].
+        model: the model.
         wandering: states of zero-cost end components, where staying for ever is free, [states].
         semantics: where giving up is allowed and whether it is charged.
         costs: expected stage costs, [pairs]; None: computed here.
     """
-    charge = np.full(model.n_states, np.inf)
     if (label := model.failure_label) is not None:  # the product says where giving up is allowed
         allowed = label.stops | label.after | np.append(label.is_open, label.is_open)
-        charge[allowed] = 0.0
-        if semantics.charge_failing_step:
-            costs = cost_means(model) if costs is None else costs
-            least = segment_minima(np.where(label.priced, costs, np.inf), model.pair_offsets)
-            charge = np.where(allowed & np.isfinite(least), least, charge)
-    elif semantics.give_up is not GiveUp.DEAD_ENDS:
-        anywhere = semantics.give_up is GiveUp.ANYWHERE
-        allowed = ~model.goal_mask & (anywhere | attention)
-        charge[allowed] = 0.0
-        if semantics.charge_failing_step:
-            costs = cost_means(model) if costs is None else costs
-            if not anywhere:
-                costs = np.where(attention_pairs(model, attention), costs, np.inf)
-            charge[allowed] = segment_minima(costs, model.pair_offsets)[allowed]
+    else:
+        allowed = giving_up_states(model, semantics.give_up)
+    charge = np.where(allowed, 0.0, np.inf)
+    if semantics.charge_failing_step and allowed.any():
+        costs = cost_means(model) if costs is None else costs
+        if label is not None:
+            costs = np.where(label.priced, costs, np.inf)
+        elif semantics.give_up is GiveUp.ATTENTION:
+            costs = np.where(attention_pairs(model, allowed), costs, np.inf)
+        least = segment_minima(costs, model.pair_offsets)
+        charge = np.where(allowed & np.isfinite(least), least, charge)
     charge[wandering] = 0.0
     return charge
 
@@ -476,8 +471,7 @@ def stage_costs(
     """
     means, charges = cost_means(model), np.zeros(quotient.n_nodes)
     if quotient.gives_up.any():
-        attention = attention_states(model)
-        by_state = give_up_charges(model, attention, quotient.merged, semantics, means)
+        by_state = give_up_charges(model, quotient.merged, semantics, means)
         charges = quotient.least_over_members(by_state)
     entering = model.of_all_states(dead_end_charges(model, quotient.dead, semantics, means))
     stage = quotient.at_pairs(means, charges)

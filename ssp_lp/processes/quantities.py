@@ -24,7 +24,15 @@ import numpy.typing as npt
 
 from ssp_lp.accumulated_cost.charges import ExpectedArrivalCost
 from ssp_lp.arrays import BoolArray, FloatArray, read_only
-from ssp_lp.errors import ModelError, did_you_mean, in_short, is_number, nearest_name
+from ssp_lp.errors import (
+    ModelError,
+    attributes_of,
+    did_you_mean,
+    in_short,
+    is_amount,
+    is_number,
+    nearest_name,
+)
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.graph import end_marks
@@ -377,7 +385,7 @@ _WITH_CVXPY = (
 
 def cvxpy_hint(value: object) -> str:
     """Return a hint for an expression of cvxpy in place of a number; else an empty string."""
-    return _WITH_CVXPY if hasattr(value, "is_dcp") else ""
+    return _WITH_CVXPY if attributes_of(value, "is_dcp") else ""
 
 
 @explained_class
@@ -445,11 +453,6 @@ def outcome_costs(model: SSP, cost: NestedCosts | npt.ArrayLike | str) -> FloatA
         complaint = f"the cost must be finite and >= 0, not {float(costs[outcome])!r}"
         raise ModelError(f"{model._describe_outcome(outcome)}: {complaint}")
     return costs
-
-
-def is_amount(value: object) -> bool:
-    """Return whether a value is a finite number >= 0 that a float can hold."""
-    return is_number(value) and 0.0 <= float(value) < float("inf")
 
 
 def _listed_costs(model: SSP, cost: NestedCosts) -> FloatArray:

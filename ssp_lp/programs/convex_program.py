@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
 import numpy as np
+import scipy.sparse as sp
 from cvxpy.constraints.constraint import Constraint
 from cvxpy.constraints.nonpos import Inequality
 from cvxpy.constraints.zero import Equality
@@ -359,7 +360,8 @@ class ConvexProgram:
         for variable, value in zip(variables, values, strict=True):
             variable.value = value
         taken: Any = slopes.get(id(self.x), 0.0)
-        dense = taken.toarray() if hasattr(taken, "toarray") else taken
+        is_sparse = bool(sp.issparse(taken))
+        dense = taken.toarray() if is_sparse else taken
         by_scale = float(slopes.get(id(self.scale), 0.0))
         return np.append(np.zeros(self.x.size) + np.ravel(dense), [by_scale, constant])
 

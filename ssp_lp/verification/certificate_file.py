@@ -15,6 +15,7 @@ from fractions import Fraction
 from functools import lru_cache
 from hashlib import sha256
 from itertools import islice
+from os import PathLike
 from pathlib import Path
 from typing import Any, cast
 
@@ -97,7 +98,7 @@ def check_certificate(path: str | Path, *, problem: Problem | None = None) -> Ch
     Returns:
         The verdict. If it is not ``accepted``, it names the inequality that fails, and where.
     """
-    if not isinstance(path, (str, Path)) and not hasattr(path, "__fspath__"):
+    if not isinstance(path, (str, PathLike)):
         how = "is not a path of a file: write one by ssp_lp.write_certificate(solution, path)"
         return Checked(False, f"{type(path).__name__} {how}")
     try:

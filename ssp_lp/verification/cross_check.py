@@ -24,7 +24,7 @@ from ssp_lp.arrays import LEAST_BUDGET, BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
 from ssp_lp.methods.approaches import refusal
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph import attention_states, drain, hopeless_states
+from ssp_lp.model.graph import drain, hopeless_states
 from ssp_lp.model.report import Report, Table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
 from ssp_lp.problem import Problem, check_problem
@@ -305,13 +305,12 @@ def cross_check(
     check_problem(problem, "cross_check")
     check_between_0_and_1("tolerance", tolerance)
     check_between_0_and_1("weight_tolerance", weight_tolerance)
-    asks = problem.requirements
-    if asks.law:
+    if problem.semantics.counts_law:
         raise ModelError(
             f"cross_check supports expected costs only, not {type(problem).__name__}: solve it "
             "with method='lp' and with method='columns', and compare"
         )
-    if asks.several_rows:
+    if problem.several_rows:
         raise ModelError(
             f"cross_check supports the failure budget only, not the limits of this "
             f"{type(problem).__name__}: solve it with method='lp' and 'columns', and compare"
@@ -459,7 +458,7 @@ def second_reading(problem: Problem) -> SecondReading | None:
     apart = program_of(asked, statement.states)
     dead, nobody = hopeless_states(model), np.zeros(model.n_states, dtype=np.bool_)
     entering = dead_end_charges(model, dead, semantics)
-    stopping = give_up_charges(model, attention_states(model), nobody, semantics)
+    stopping = give_up_charges(model, nobody, semantics)
     may_stop = np.isfinite(stopping) & ~dead & ~model.goal_mask
     waits = costless_pairs(model) & ~dead[model.pair_state]  # for ever, or until it can leave
     left = np.bincount(model.pair_state[waits], minlength=model.n_states)

@@ -287,7 +287,7 @@ def test_both_sides_enclose_the_optimum(seed, discount):
     budget = [least, least + 0.05, 0.5, 0.9][seed % 4] if discount is None else 0.7
     exact = solve(S3P(model, start, budget, discount, cost_levels=EXACT))
     problem = S3P(model, start, budget, discount, cost_levels=FEW)
-    assert is_split(problem, problem.requirements)
+    assert is_split(problem)
     found = solve(problem)
     check_enclosed(found, exact, FEW)
     assert found.gap < 2e-2
@@ -341,7 +341,7 @@ def test_finer_units_bring_the_bounds_together_and_a_thousand_prices_are_soon_se
 @pytest.mark.slow
 def test_little_time_for_many_sums_gives_a_certified_answer_on_a_grid():
     problem = S3P(*real_costs.field(24, "3 prices"), 0.3)
-    assert not is_split(problem, problem.requirements)
+    assert not is_split(problem)
     found = solve(problem, time_limit=2.0)
     assert found.gap < 0.1
     proof = certify(found)
@@ -369,7 +369,7 @@ def test_rare_goals_are_measured_by_themselves(share):
         for k in range(6)
     }
     problem = S3P(model_of(moves, "s6"), "s0", reach_fraction=share, cost_levels=20)
-    assert is_split(problem, problem.requirements)
+    assert is_split(problem)
     found = solve(problem)
     played = evaluate(found.policy, problem)
     assert played.objective == pytest.approx(found.objective, rel=1e-12)
@@ -393,7 +393,7 @@ def with_odd_costs(model, change):
 
 
 def coarser(problem):
-    return rounding.coarser_unit(problem, problem.requirements)
+    return rounding.coarser_unit(problem)
 
 
 def test_one_odd_cost_is_not_told_apart_where_it_hardly_matters():
