@@ -29,7 +29,15 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import end_marks
 from ssp_lp.plotting.curves import bounds_along
-from ssp_lp.plotting.plane import Places, Point, cells_of, points_of, squares_of
+from ssp_lp.plotting.plane import (
+    Places,
+    Point,
+    cells_of,
+    distinct_points,
+    points_of,
+    squares_of,
+    with_point,
+)
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -124,7 +132,7 @@ def explore(
         _check_page_name(path)
     problem = frontier.problem
     policies = [frontier.policy_at(float(spent)) for spent in frontier.spent]
-    data = _numbers(frontier, [evaluate(policy, problem) for policy in policies])
+    data = _numbers(frontier, problem, [evaluate(policy, problem) for policy in policies])
     budgets, low, high = bounds_along(frontier)
     data["curve"] = {
         "budgets": budgets.tolist(),
@@ -153,19 +161,17 @@ def explore(
     return explorer
 
 
-def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any]:
+def _numbers(
+    frontier: Frontier, problem: Problem, evaluations: list[Evaluation]
+) -> dict[str, Any]:
     """Return the data of each turning point."""
-    names = list(dict.fromkeys(name for found in evaluations for name in found.ends))
-    names = [
-        name for name in names if any(found.ends.get(name, 0.0) > _NEVER for found in evaluations)
-    ]
+    listed = (entry for found in evaluations for entry in found.ends.items())
+    names = list(dict.fromkeys(name for name, share in listed if share > _NEVER))
     reached = np.array([found.goal_probability for found in evaluations])
     paid = np.array([found.conditional_cost for found in evaluations])
     region, spent = frontier.region, frontier.spent
-    problem = frontier.problem if frontier.over == "failure" else None
-    asked = None if problem is None else problem.failure_budget
-    begin = region[0] + 0.5 * (region[1] - region[0]) if asked is None else asked
-    quantities = evaluations[0].secondary_costs
+    begin = problem.failure_budget if frontier.over == "failure" else None
+    begin = 0.5 * sum(region) if begin is None else begin
     return {
         "over": frontier.over,
         "axis": frontier.axis,
@@ -183,7 +189,8 @@ def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any
         "end_names": [name.replace("_", " ") for name in names],
         "ends": [[found.ends.get(name, 0.0) for name in names] for found in evaluations],
         "quantities": {
-            name: [found.secondary_costs[name] for found in evaluations] for name in quantities
+            name: [found.secondary_costs[name] for found in evaluations]
+            for name in evaluations[0].secondary_costs
         },
     }
 
@@ -244,11 +251,6 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
     return _layout(problem) if model.n_states <= _MOST_DRAWN else None
 
 
-def _placed(points: FloatArray) -> BoolArray:
-    """Return a mask of the states with a position, [states]."""
-    return np.asarray(~np.isnan(points).any(axis=1))
-
-
 def _layout(problem: Problem) -> FloatArray:
     """Return positions of a small model's states by distance from the start, [states, 2]."""
     model = problem.model
@@ -274,10 +276,8 @@ def _plane(
     is_graph: bool,
 ) -> dict[str, Any]:
     """Return the visits of each place, and the flow along each arrow, at each turning point."""
-    model, known = problem.model, _placed(points)
-    middles, inverse = np.unique(points[known], axis=0, return_inverse=True)
-    place = np.full(model.n_states, -1)
-    place[known] = inverse.reshape(-1)
+    model, (middles, place) = problem.model, distinct_points(points)
+    known = place >= 0
     owner, outcome_pair = segment_ids(model.pair_offsets), segment_ids(model.outcome_offsets)
     source = owner[outcome_pair]
     # in a graph an arrow for each action and successor, otherwise one for each action, as given or
@@ -296,7 +296,7 @@ def _plane(
     for k, policy in enumerate(policies):
         pairs, gave_up = pair_visits(policy, problem)
         of_state = gave_up + np.bincount(owner, pairs, model.n_states)
-        visits[k] = np.bincount(inverse.reshape(-1), of_state[known], len(middles))
+        visits[k] = np.bincount(place[known], of_state[known], len(middles))
         taken = (pairs[outcome_pair] * model.probabilities)[drawn]
         flows[k] = np.bincount(arrow, taken, len(arrows))
     mean = np.zeros((len(arrows), 2))
@@ -331,7 +331,7 @@ def _runs(
     """Return sample runs at each turning point, as numbers of states."""
     model, marks = problem.model, end_marks(problem.model)
     words = ["goal", *model.state_labels, "dead-end", "gave up, or goes on"]
-    placed = _placed(points)
+    placed = with_point(points)
 
     def told(path: IntArray) -> dict[str, Any]:
         """Return the data of a run."""
@@ -352,13 +352,12 @@ def _ground(
     problem: Problem, points: FloatArray, walls: list[Point], *, is_graph: bool
 ) -> dict[str, Any]:
     """Return the places of goals, dead-ends, walls and the start, and names in a graph."""
-    known = _placed(points)
+    known = with_point(points)
     everything = np.vstack([points[known], *np.array(walls, dtype=float).reshape(-1, 2)])
     limits = [everything.min(axis=0) - _AROUND, everything.max(axis=0) + _AROUND]
-    kinds = zip(("free", "dead", "goal", "start"), squares_of(problem, points), strict=True)
     ground: dict[str, Any] = {
         "limits": np.transpose(limits).tolist(),
-        "squares": {kind: sorted(squares) for kind, squares in kinds} | {"wall": walls},
+        "squares": squares_of(problem, points, walls),
         "side": _SMALL if is_graph else 1.0,
     }
     if is_graph:
