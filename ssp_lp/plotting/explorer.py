@@ -161,9 +161,7 @@ def explore(
     return explorer
 
 
-def _numbers(
-    frontier: Frontier, problem: Problem, evaluations: list[Evaluation]
-) -> dict[str, Any]:
+def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]) -> dict[str, Any]:
     """Return the data of each turning point."""
     listed = (entry for found in evaluations for entry in found.ends.items())
     names = list(dict.fromkeys(name for name, share in listed if share > _NEVER))

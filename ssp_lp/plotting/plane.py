@@ -188,7 +188,6 @@ _UNSEEN = 1e-6  # expected visits: a cell with fewer is drawn without
 _LONGEST = 0.46  # of a cell's side, from its middle
 _SHORTEST = 0.75  # of the longest: an arrow for a small share
 _RING = 0.08  # radius of the mark of several actions
-_SCALE = 1.0  # inches, of the scale of shades
 
 
 class _Seen(NamedTuple):
@@ -239,12 +238,7 @@ def plot_grid_policy(
         >>> problem = MCMP(model, 0, failure_budget=0.1)
         >>> axes = plot_grid_policy(policy, problem, lambda state: (state, 0), {"east": (1, 0)})
     """
-    points, walls = cells_of(problem.model, cells), list(walls)
-    drawn = [_visits_of_cells(policy, problem, points)]
-    width, height = size_of(points, walls)
-    ax = axes_or_new(ax, width + _SCALE, height)
-    _draw_policies([ax], drawn, problem, points, walls, moves, most_visits)
-    return ax
+    return _plot_policies([policy], problem, cells, moves, [*walls], most_visits, ax)[0]
 
 
 @explained
@@ -269,42 +263,39 @@ def plot_lottery(
         MissingDependencyError: matplotlib is not installed.
         ModelError: as in :func:`plot_grid_policy`.
     """
-    pyplot, count = optional_module("matplotlib.pyplot", "plot"), len(policy.policies)
-    points, walls = cells_of(problem.model, cells), list(walls)
-    drawn = [_visits_of_cells(one, problem, points) for one in policy.policies]
-    width, height = size_of(points, walls)
-    size = (count * width + _SCALE, height)
-    axes = pyplot.subplots(1, count, figsize=size, squeeze=False, layout="constrained")[1][0]
-    _draw_policies(list(axes), drawn, problem, points, walls, moves)
+    axes = _plot_policies(policy.policies, problem, cells, moves, [*walls])
     for ax, weight in zip(axes, policy.weights.tolist(), strict=True):
         ax.set_title(f"with probability {weight:.4g}", fontsize=10)
-    return list(axes)
+    return axes
 
 
-def _draw_policies(
-    axes: list[Axes],
-    drawn: list[_Seen],
+def _plot_policies(
+    policies: Sequence[Policy | MixedPolicy],
     problem: Problem,
-    points: FloatArray,
-    walls: list[Point],
+    cells: Places,
     moves: Places,
+    walls: list[Point],
     most: float | None = None,
-) -> None:
-    """Draw policies in the plane, each on axes of its own, on one scale of shades.
-
-    Args:
-        axes: axes of each policy.
-        drawn: visits and decisions of each policy, by cell.
-        problem: problem with the start.
-        points: points of the states, nan for those without, [states, 2].
-        walls: middles of squares that are no states.
-        moves: as in :func:`plot_grid_policy`.
-        most: visits of the darkest shade; None: the most of all policies.
-    """
-    names = ("collections", "colors", "patches")
-    collections, colors, patches = (optional_module(f"matplotlib.{name}", "plot") for name in names)
-    if most is None:
-        most = max(float(seen.visits.max(initial=0.0)) for seen in drawn)
+    ax: Axes | None = None,
+) -> list[Axes]:
+    """Plot policies in the plane side by side; the arguments are as in :func:`plot_grid_policy`."""
+    names = ("pyplot", "collections", "colors", "patches")
+    pyplot, collections, colors, patches = (
+        optional_module(f"matplotlib.{name}", "plot") for name in names
+    )
+    points, directions = (
+        cells_of(problem.model, cells),
+        points_of(problem.model.action_names, moves),
+    )
+    drawn = [_visits_of_cells(policy, problem, points) for policy in policies]
+    if ax is None:
+        width, height = size_of(points, walls)
+        size = (len(drawn) * width + 1.0, height)  # an inch for the scale of shades
+        figure = pyplot.figure(figsize=size, layout="constrained")
+        axes = list(figure.subplots(1, len(drawn), squeeze=False)[0])
+    else:
+        axes = [axes_or_new(ax)]
+    most = max(seen.visits.max(initial=0.0) for seen in drawn) if most is None else most
     for ax, seen in zip(axes, drawn, strict=True):
         draw_ground(ax, problem, points, walls)
         some = seen.visits > 0.0
@@ -317,9 +308,10 @@ def _draw_policies(
         )
         shades.set_array(seen.visits[some])
         ax.add_collection(shades)
-        _draw_decisions(ax, seen, points_of(problem.model.action_names, moves))
+        _draw_decisions(ax, seen, directions)
         add_legend(ax)
     axes[0].figure.colorbar(shades, ax=axes, label="expected visits", shrink=0.7, pad=0.02)
+    return axes
 
 
 def _visits_of_cells(policy: Policy | MixedPolicy, problem: Problem, points: FloatArray) -> _Seen:
