@@ -24,6 +24,7 @@ from ssp_lp.io.model_files.raw_model import (
     RawModel,
     broken_files_named,
     chosen_reward,
+    costs_of_pairs,
     decimal_sum,
     distinct_actions,
     distinct_words,
@@ -149,7 +150,7 @@ class UmbArchive:
                 "branch-to-probability.bin", self._probability, self._n_branches
             ),
             costs=costs[place or 0],
-            named_costs=named_rewards(names, costs) if names else {},
+            named_costs=named_rewards(names, costs),
             actions=self._actions(),
             labels=labels | {INITIAL: initial},
         )
@@ -331,18 +332,18 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
         ModelError: the start is not a state, or a label cannot be written.
         OSError: the file cannot be written.
     """
-    process = exported(model, start)
-    n_states, n_pairs = process.pair_offsets.size - 1, len(process.costs)
-    actions = list(dict.fromkeys(process.actions))
+    raw = exported(model, start)
+    n_states, named = raw.pair_offsets.size - 1, [*map(str, raw.actions or ())]
+    actions = list(dict.fromkeys(named))
     code = {name: k for k, name in enumerate(actions)}
-    aps = {name: members for name, members in process.labels.items() if name != INITIAL}
+    aps = {name: members for name, members in raw.labels.items() if name != INITIAL}
     files = {
-        "state-to-choices.bin": _bytes_of(process.pair_offsets, "<u8"),
-        "state-is-initial.bin": _bit_set(process.labels[INITIAL], n_states),
-        "choice-to-branches.bin": _bytes_of(process.outcome_offsets, "<u8"),
-        "branch-to-target.bin": _bytes_of(process.successors, "<u8"),
-        "branch-to-probability.bin": _bytes_of(process.probabilities, "<f8"),
-        f"{_ACTIONS}values.bin": _bytes_of([code[name] for name in process.actions], "<u4"),
+        "state-to-choices.bin": _bytes_of(raw.pair_offsets, "<u8"),
+        "state-is-initial.bin": _bit_set(raw.labels[INITIAL], n_states),
+        "choice-to-branches.bin": _bytes_of(raw.outcome_offsets, "<u8"),
+        "branch-to-target.bin": _bytes_of(raw.successors, "<u8"),
+        "branch-to-probability.bin": _bytes_of(raw.probabilities, "<f8"),
+        f"{_ACTIONS}values.bin": _bytes_of([code[name] for name in named], "<u4"),
         f"{_ACTIONS}string-mapping.bin": _bytes_of(
             offsets_of(np.array([*map(len, actions)])), "<u8"
         ),
@@ -352,8 +353,8 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
     for name, key in zip(aps, _identifiers(aps), strict=True):
         annotations["aps"][key] = {"alias": name, "applies-to": ["states"], "type": _TRUTH}
         files[f"annotations/aps/{key}/states/values.bin"] = _bit_set(aps[name], n_states)
-    names = process.cost_names
-    for name, key, costs in zip(names, _identifiers(names), process.costs.T, strict=True):
+    named_costs = costs_of_pairs(raw)
+    for (name, costs), key in zip(named_costs.items(), _identifiers(named_costs), strict=True):
         annotations["rewards"][key] = {"alias": name, "applies-to": ["choices"], "type": _REAL}
         files[f"annotations/rewards/{key}/choices/values.bin"] = _bytes_of(costs, "<f8")
     index = {
@@ -365,9 +366,9 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
             "#players": 1,
             "#states": n_states,
             "#initial-states": 1,
-            "#choices": n_pairs,
+            "#choices": len(named),
             "#choice-actions": len(actions),
-            "#branches": process.successors.size,
+            "#branches": raw.successors.size,
             "#branch-actions": 0,
             "#observations": 0,
             "branch-probability-type": _REAL,
