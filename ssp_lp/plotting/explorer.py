@@ -28,16 +28,9 @@ from ssp_lp.methods.frontier import Frontier
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import end_marks
+from ssp_lp.plotting import plane
 from ssp_lp.plotting.curves import bounds_along
-from ssp_lp.plotting.plane import (
-    Places,
-    Point,
-    cells_of,
-    distinct_points,
-    points_of,
-    squares_of,
-    with_point,
-)
+from ssp_lp.plotting.plane import Places, Point
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -243,9 +236,9 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
     """Return the position of each state, nan for none, [states, 2]; None: too large a model."""
     model = problem.model
     if cells is not None:
-        return cells_of(model, cells)
+        return plane.cells_of(model, cells)
     if _are_points(model):
-        return points_of(model.states, lambda state: state if _is_point(state) else None)
+        return plane.points_of(model.states, lambda state: state if _is_point(state) else None)
     return _layout(problem) if model.n_states <= _MOST_DRAWN else None
 
 
@@ -274,7 +267,7 @@ def _plane(
     is_graph: bool,
 ) -> dict[str, Any]:
     """Return the visits of each place, and the flow along each arrow, at each turning point."""
-    model, (middles, place) = problem.model, distinct_points(points)
+    model, (middles, place) = problem.model, plane.distinct_points(points)
     known = place >= 0
     owner, outcome_pair = segment_ids(model.pair_offsets), segment_ids(model.outcome_offsets)
     source = owner[outcome_pair]
@@ -284,7 +277,7 @@ def _plane(
     if moves is None or is_graph:
         aim = points[model.successors] - points[source]
     else:
-        aim = points_of(model.action_names, moves)[model.pair_action][outcome_pair]
+        aim = plane.points_of(model.action_names, moves)[model.pair_action][outcome_pair]
     aim = np.nan_to_num(aim) * model.probabilities[:, None]
     drawn = np.flatnonzero(place[source] >= 0)
     keys = np.stack([place[source], to, model.pair_action[outcome_pair]], axis=1)
@@ -329,7 +322,7 @@ def _runs(
     """Return sample runs at each turning point, as numbers of states."""
     model, marks = problem.model, end_marks(problem.model)
     words = ["goal", *model.state_labels, "dead-end", "gave up, or goes on"]
-    placed = with_point(points)
+    placed = plane.with_point(points)
 
     def told(path: IntArray) -> dict[str, Any]:
         """Return the data of a run."""
@@ -350,12 +343,12 @@ def _ground(
     problem: Problem, points: FloatArray, walls: list[Point], *, is_graph: bool
 ) -> dict[str, Any]:
     """Return the places of goals, dead-ends, walls and the start, and names in a graph."""
-    known = with_point(points)
+    known = plane.with_point(points)
     everything = np.vstack([points[known], *np.array(walls, dtype=float).reshape(-1, 2)])
     limits = [everything.min(axis=0) - _AROUND, everything.max(axis=0) + _AROUND]
     ground: dict[str, Any] = {
         "limits": np.transpose(limits).tolist(),
-        "squares": squares_of(problem, points, walls),
+        "squares": plane.squares_of(problem, points, walls),
         "side": _SMALL if is_graph else 1.0,
     }
     if is_graph:

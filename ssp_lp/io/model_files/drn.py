@@ -14,21 +14,8 @@ import numpy as np
 
 from ssp_lp.arrays import offsets_of
 from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.raw_model import (
-    FilePath,
-    ModelFile,
-    RawModel,
-    chosen_reward,
-    costs_of_pairs,
-    decimal_sum,
-    distinct_actions,
-    exported,
-    finished,
-    named_rewards,
-    opened_text,
-    write_tar,
-    write_text,
-)
+from ssp_lp.io.model_files import raw_model
+from ssp_lp.io.model_files.raw_model import FilePath, ModelFile, RawModel
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import DeadEnds
@@ -80,7 +67,7 @@ def read_drn(
         OSError: the file cannot be opened.
     """
     file = _DrnFile(Path(path))
-    return finished(_raw_model(file, cost), goal, file.path, dead_ends)
+    return raw_model.finished(_raw_model(file, cost), goal, file.path, dead_ends)
 
 
 def _sections_of(file: _DrnFile, lines: Iterator[str]) -> dict[str, str]:
@@ -139,7 +126,7 @@ class _DrnFile:
             ModelError: a line that is too long, no UTF-8, or a broken packed file.
             OSError: the file cannot be opened.
         """
-        with opened_text(self.path) as file:
+        with raw_model.opened_text(self.path) as file:
             while text := file.readline(_LONGEST_LINE):
                 self.number += 1
                 if len(text) >= _LONGEST_LINE:
@@ -225,7 +212,7 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
     listed = re.split("[ \t]", header.get("@reward_models", "").removesuffix(" "))
     rewards = [word.strip('"') for word in listed]
     rewards = rewards if rewards.count("") == 1 < len(rewards) else [*filter(None, rewards)]
-    place = chosen_reward(file.path, rewards, cost)
+    place = raw_model.chosen_reward(file.path, rewards, cost)
     n_states, n_choices = int(header["@nr_states"]), int(header.get("@nr_choices", -1))
     file.n_rewards, file.n_states = len(rewards), n_states
     for line in lines:
@@ -240,7 +227,7 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
     counts = np.bincount(state, minlength=n_states)
     paid = np.reshape(file.rewards, (is_action.size, -1))
     of_pairs, of_states = paid[is_action].T, paid[~is_action][state].T
-    listed = [decimal_sum(*each) for each in zip(of_pairs, of_states, strict=True)]
+    listed = [raw_model.decimal_sum(*each) for each in zip(of_pairs, of_states, strict=True)]
     is_rewarded = file.is_rewarded or place is not None
     costs = [np.repeat(c, sizes) for c in (listed if is_rewarded else [np.ones(state.size)])]
     offsets = offsets_of(counts)
@@ -250,8 +237,8 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
         successors=np.array(file.successors),
         probabilities=np.array(file.probabilities),
         costs=costs[place or 0],
-        named_costs=named_rewards(rewards, costs),
-        actions=distinct_actions(file.names, offsets),
+        named_costs=raw_model.named_rewards(rewards, costs),
+        actions=raw_model.distinct_actions(file.names, offsets),
         labels={name: np.array(at, dtype=np.int64) for name, at in file.labels.items()},
     )
 
@@ -276,13 +263,13 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     Raises:
         ModelError: the start is not a state, or a label cannot be written.
     """
-    place, lines = Path(path), _drn_lines(exported(model, start))
+    place, lines = Path(path), _drn_lines(raw_model.exported(model, start))
     if place.suffix not in (".gz", ".xz"):
-        write_text(place, lines)
+        raw_model.write_text(place, lines)
         return
     with TemporaryFile() as text:  # an archive states the size before the text
         text.writelines(line.encode() for line in lines)
-        write_tar(place, {place.stem: text}, place.suffix)
+        raw_model.write_tar(place, {place.stem: text}, place.suffix)
 
 
 def _drn_lines(raw: RawModel) -> Iterator[str]:
@@ -292,7 +279,7 @@ def _drn_lines(raw: RawModel) -> Iterator[str]:
         shown = name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else f'"{name}"'
         for state in members.tolist():
             marks[state] = f"{marks.get(state, '')} {shown}"
-    costs, names = costs_of_pairs(raw), raw.actions or ()
+    costs, names = raw_model.costs_of_pairs(raw), raw.actions or ()
     paid = np.column_stack([*costs.values()]).tolist()
     yield f"@type: MDP\n@value_type: double\n@parameters\n\n@reward_models\n{' '.join(costs)}\n"
     yield f"@nr_states\n{raw.pair_offsets.size - 1}\n@nr_choices\n{len(paid)}\n@model\n"
