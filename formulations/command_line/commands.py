@@ -21,6 +21,7 @@ from ssp_lp import SSP, ModelError, Solution, io
 from ssp_lp.analysis.simulation import Estimate
 from ssp_lp.errors import Argument, SolverError, check_whole, did_you_mean, optional_module
 from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
+from ssp_lp.io.any_format import Start
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json
 from ssp_lp.io.model_files.raw_model import FIRST_COST
 from ssp_lp.methods.labelled_program import program_of
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
 
 ENVIRONMENT = "gym:"
 """Prefix of the name of a Gymnasium environment."""
-
-Start = Hashable | Mapping[Hashable, float]
 
 Asked = Mapping[str, Any]
 """Arguments of a command by name; those of a criterion only if they were given."""

@@ -215,7 +215,7 @@ def save_model(model: SSP, path: FilePath) -> None:
     write_archive(path, "model", header, arrays | named)
 
 
-class ModelFile:
+class StoredModel:
     """A file of :func:`save_model`, of which ranges of states can be read."""
 
     def __init__(self, path: FilePath) -> None:

@@ -712,7 +712,7 @@ class _Player:
         """Play a lottery on an environment's model."""
         self.model, self.lottery, self.rng = cast(EnvironmentSSP, lottery.model), lottery, rng
         self.over = dead_ends(lottery.model) | lottery.model.goal_mask  # [states]
-        self._branches, self.remember = cache(self._asked), cache(self._remembered)
+        self._branches, self.remember = cache(self._branches_of), cache(_memory_after)
         self.ended = cache(lambda member: member.ended)  # [states], whatever came before
 
     def decide(self, member: Policy, state: int, memory: int) -> tuple[int, int]:
@@ -723,7 +723,7 @@ class _Player:
             drawn = min(bisect(cumulative, self.rng.random() * cumulative[-1]), len(pairs) - 1)
         return pairs[drawn], kept[drawn]
 
-    def _asked(
+    def _branches_of(
         self, member: Policy, state: int, memory: int
     ) -> tuple[list[int], list[int], list[float]]:
         """Return a member's decisions, their memories, and cumulative probabilities."""
@@ -736,10 +736,11 @@ class _Player:
             )
         return branches.pair.tolist(), kept.tolist(), np.cumsum(branches.probability).tolist()
 
-    def _remembered(self, member: Policy, *step: float) -> int:
-        """Return the memory of a policy played in an environment after a step."""
-        memory, pair, state, cost = (np.array([part]) for part in step)
-        return int(member.remember(memory, pair, state, cost)[0])
+
+def _memory_after(member: Policy, memory: int, pair: int, state: int, cost: float) -> int:
+    """Return the memory of a policy after a step by a pair to a state."""
+    step = (np.array([part]) for part in (memory, pair, state, cost))
+    return int(member.remember(*step)[0])
 
 
 _SEEN = "observed in the environment: the policy's model may be of another one"

@@ -79,10 +79,6 @@ def dress_axes(ax: Axes, x: str, y: str) -> None:
 
 _BAND = "the optimum lies in here"
 _SAMPLES = 400  # budgets in all, divided among the segments
-_VISIBLE = 2e-3  # of the height: a narrower band is drawn as a line
-_TANGENT = 0.4  # of the height: rise and fall of a tangent
-_MARGIN = 0.05  # of the region shown, on each side
-_BESIDE = 1.5  # least width of the region shown, in budgets
 
 
 @explained
@@ -141,11 +137,13 @@ def _show_region(ax: Axes, frontier: Frontier, budget: float | None) -> None:
     """Set the axes' limits so that they show the frontier's bend and the budget."""
     first, last = frontier.region
     if budget is not None:
-        last = max(last, min(first + _BESIDE * (budget - first), float(frontier.spent[-1])))
+        beyond = first + 1.5 * (budget - first)
+        last = max(last, min(beyond, float(frontier.spent[-1])))
     ends = [high for _, high in map(frontier.bounds_at, (first, last))]
     for (low, high), show in (((first, last), ax.set_xlim), (sorted(ends), ax.set_ylim)):
         if high > low:
-            show(low - _MARGIN * (high - low), high + _MARGIN * (high - low))
+            margin = 0.05 * (high - low)
+            show(low - margin, high + margin)
 
 
 def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> None:
@@ -154,7 +152,8 @@ def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> Non
     attained, size = low if frontier.maximises else high, 2.5 if len(spent) > 40 else 5
     ax.plot(budgets, attained, color=look.colour, linestyle=look.line, linewidth=2, label=label)
     ax.plot(spent, frontier.objective, look.marker, color=look.colour, markersize=size)
-    if (high - low).max() > max(_VISIBLE * np.ptp(high), frontier.tolerance * high.max()):
+    least = max(2e-3 * np.ptp(high), frontier.tolerance * high.max())  # height of a visible band
+    if (high - low).max() > least:
         band = None if _BAND in ax.get_legend_handles_labels()[1] else _BAND
         ax.fill_between(budgets, low, high, facecolor="none", edgecolor=look.colour,
                         hatch=look.hatch, linewidth=0.6, label=band)  # fmt: skip
@@ -201,7 +200,7 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
             label=f"budget {budget:g}: {certain:.5g}")  # fmt: skip
     slopes = frontier.slopes_at(budget)
     for slope in slopes:  # a line through the point, as far as it stays close
-        room = _TANGENT * float(np.ptp(frontier.objective)) / abs(slope) if slope else np.inf
+        room = 0.4 * float(np.ptp(frontier.objective)) / abs(slope) if slope else np.inf
         first, last = frontier.spent[[0, -1]].tolist()
         along = _budgets_between(max(budget - room, first), min(budget + room, last), _SAMPLES)
         ax.plot(along, value + slope * (along - budget), color=INK, linestyle="-.", linewidth=1.1,

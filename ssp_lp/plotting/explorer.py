@@ -38,16 +38,8 @@ from ssp_lp.processes.failure_semantics import start_distribution
 LARGEST = 3_000_000
 """Greatest number of bytes of a page: larger ones are slow to open."""
 
-_FEW, _BARS = 12, 60  # of the law of the total cost, least and most
 _UNSEEN = 1e-2  # share of the successes with greater costs than those drawn
-_MOST_DRAWN = 40  # states of a model that is drawn as a graph
-_LONGEST = 300  # steps of a run that are drawn
-_NEVER = 1e-12  # a probability that is the rounding of 0
-_REACH = 0.42  # of a cell's side: length of an arrow
-_BESIDE, _FAN = 0.13, 0.5  # distance of a graph's arrows between two states; of all at most
-_LONG = 14  # characters of a name that is drawn
 _AROUND = 0.7  # beyond the middles of the outermost cells
-_SMALL = 0.36  # side of the square of a graph's state
 _SPREAD = 0.25  # of a cell's side: greatest offset of a run from its middle
 
 
@@ -157,7 +149,7 @@ def explore(
 def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]) -> dict[str, Any]:
     """Return the data of each turning point."""
     listed = (entry for found in evaluations for entry in found.ends.items())
-    names = list(dict.fromkeys(name for name, share in listed if share > _NEVER))
+    names = list(dict.fromkeys(name for name, share in listed if share > 1e-12))  # else rounding
     reached = np.array([found.goal_probability for found in evaluations])
     paid = np.array([found.conditional_cost for found in evaluations])
     region, spent = frontier.region, frontier.spent
@@ -203,7 +195,8 @@ def _laws(
     if not costs.size:
         return None
     width = float(np.diff(costs).min(initial=np.inf)) if len(costs) > 1 else 1.0
-    width = max(min(width, np.ptp(costs) / _FEW or width), np.ptp(costs) / _BARS)
+    span = float(np.ptp(costs))
+    width = max(min(width, span / 12 or width), span / 60)  # 12 to 60 bars
     edges = np.arange(costs[0] - 0.5 * width, costs[-1] + width, width)
     none = np.zeros(len(edges) - 1)
     mass = [
@@ -239,7 +232,7 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
         return plane.cells_of(model, cells)
     if _are_points(model):
         return plane.points_of(model.states, lambda state: state if _is_point(state) else None)
-    return _layout(problem) if model.n_states <= _MOST_DRAWN else None
+    return _layout(problem) if model.n_states <= 40 else None
 
 
 def _layout(problem: Problem) -> FloatArray:
@@ -295,13 +288,13 @@ def _plane(
     used = (flows.max(axis=0, initial=0.0) > 1e-9) & (np.hypot(*mean.T) > 1e-9)
     mean, arrows = mean[used], arrows[used]
     toward = mean / np.hypot(*mean.T)[:, None]
-    begin, end = middles[arrows[:, 0]], middles[arrows[:, 0]] + _REACH * toward
+    begin, end = middles[arrows[:, 0]], middles[arrows[:, 0]] + 0.42 * toward
     if is_graph:
         # arrows back take the other side; actions between two states are drawn side by side
         _, way, count = np.unique(arrows[:, :2], axis=0, return_inverse=True, return_counts=True)
         way = way.reshape(-1)
         rank = np.arange(len(arrows)) - np.searchsorted(way, way)
-        gap = 0.07 + np.minimum(_BESIDE, _FAN / count[way]) * rank
+        gap = 0.07 + np.minimum(0.13, 0.5 / count[way]) * rank
         aside = gap[:, None] * toward[:, ::-1] * [-1.0, 1.0]
         end = middles[arrows[:, 1]] - 0.2 * toward + aside
         begin = begin + 0.2 * toward + aside
@@ -327,7 +320,7 @@ def _runs(
     def told(path: IntArray) -> dict[str, Any]:
         """Return the data of a run."""
         mark = int(marks[int(path[-1])])
-        steps = path[placed[path]][:_LONGEST]
+        steps = path[placed[path]][:300]  # longer lines hide the plane
         return {"path": steps.tolist(), "goal": mark == 0, "end": words[mark]}
 
     runs = []
@@ -349,10 +342,10 @@ def _ground(
     ground: dict[str, Any] = {
         "limits": np.transpose(limits).tolist(),
         "squares": plane.squares_of(problem, points, walls),
-        "side": _SMALL if is_graph else 1.0,
+        "side": 0.36 if is_graph else 1.0,
     }
     if is_graph:
-        names = [str(state)[:_LONG] for state in problem.model.states]
+        names = [str(state)[:14] for state in problem.model.states]
         ground["names"] = [[names[k], *points[k].tolist()] for k in np.flatnonzero(known).tolist()]
     return ground
 

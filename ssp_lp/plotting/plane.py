@@ -104,13 +104,9 @@ def size_of(points: FloatArray, walls: Iterable[Point]) -> tuple[float, float]:
     """Return the width and height in inches of a plot in the plane with these cells and walls."""
     everything = np.vstack([points, np.array([*walls, (np.nan, np.nan)], dtype=np.float64)])
     extent = np.nanmax(everything, axis=0) - np.nanmin(everything, axis=0) + 2.0 * _MARGIN
-    side = np.clip(_WIDEST / extent.max(), *_SIDES)
+    side = np.clip(6.0 / extent.max(), 0.25, 0.55)  # of a cell, so that a picture fits on a page
     width, height = (side * extent).tolist()
-    return max(width, _NARROWEST), height + _LEGEND
-
-
-_WIDEST, _NARROWEST, _LEGEND = 6.0, 3.2, 1.0  # inches: sides of a picture, size of a legend
-_SIDES = 0.25, 0.55  # inches: of a cell, least and most
+    return max(width, 3.2), height + 1.0  # an inch for the legend
 
 
 def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[Point]) -> None:
@@ -168,26 +164,20 @@ _STYLES = {
 """Styles of the squares of each kind of cell."""
 
 
-_ENTRY = 1.1  # inches: width of an entry of a legend
-
-
 def add_legend(ax: Axes) -> None:
     """Put a legend below the plot and its ticks."""
     if count := len(ax.get_legend_handles_labels()[0]):
         width = ax.bbox.width / ax.figure.dpi  # inches
-        rows = -(-count // max(int(width / _ENTRY), 2))
+        rows = -(-count // max(int(width / 1.1), 2))  # an entry takes about 1.1 inches
         below = 0.12 if len(ax.get_xticks()) else 0.01  # of the height: room for ticks
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -below), ncols=-(-count // rows),
                   frameon=False, fontsize=8, labelcolor=INK, handlelength=1.6,
                   columnspacing=1.2)  # fmt: skip
 
 
-_SHADES = ("#ffffff", "#6baed6")  # light enough for dark arrows
-_RARE = 0.02  # of a cell's visits: rarer actions have no arrow
 _UNSEEN = 1e-6  # expected visits: a cell with fewer is drawn without
 _LONGEST = 0.46  # of a cell's side, from its middle
 _SHORTEST = 0.75  # of the longest: an arrow for a small share
-_RING = 0.08  # radius of the mark of several actions
 
 
 class _Seen(NamedTuple):
@@ -302,7 +292,7 @@ def _plot_policies(
         corners = (seen.middles[some] - 0.5).tolist()
         shades = collections.PatchCollection(
             [patches.Rectangle(tuple(corner), 1.0, 1.0) for corner in corners],
-            cmap=colors.LinearSegmentedColormap.from_list("visits", _SHADES),
+            cmap=colors.LinearSegmentedColormap.from_list("visits", ["white", "#6baed6"]),
             norm=colors.Normalize(0.0, max(most, _UNSEEN)),
             zorder=1,
         )
@@ -334,13 +324,14 @@ def _draw_decisions(ax: Axes, seen: _Seen, directions: FloatArray) -> None:
     """Draw decisions in the plane: arrows, dots, crosses and rings."""
     length = np.hypot(directions[:, 0], directions[:, 1])
     still = ~(length > 0.0)
-    taken = seen.shares >= _RARE
+    taken = seen.shares >= 0.02  # rarer actions have no arrow
     several = taken.sum(axis=1) > 1
     cell, action = np.nonzero(taken[:, :-1] & ~still)
     toward = directions[action] / length[action, None]
     share = np.where(several[cell], seen.shares[cell, action], 1.0)[:, None]
     reach = _LONGEST * (_SHORTEST + (1.0 - _SHORTEST) * share)
-    begin = np.where(several[cell], _RING, -0.8 * _LONGEST)[:, None]
+    # arrows of several actions begin at the ring around their cell's middle
+    begin = np.where(several[cell], 0.08, -0.8 * _LONGEST)[:, None]
     tail, step = seen.middles[cell] + begin * toward, (reach - begin) * toward
     ax.quiver(*tail.T, *step.T, angles="xy", scale_units="xy", scale=1.0, units="xy", width=0.055,
               headwidth=4.5, headlength=4.5, headaxislength=4.0, color=INK, zorder=4)  # fmt: skip
