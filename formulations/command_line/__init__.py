@@ -13,8 +13,8 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from .arguments import argument_parser
 
@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: words of the command line; None: those of the process.
     """
     try:
-        return _run_command(argument_parser().parse_args(arguments))
+        return _run_command(vars(argument_parser().parse_args(arguments)))
     except KeyboardInterrupt as stop:
         return _tell(str(stop) or "interrupted before there was an answer", INTERRUPTED)
     except BrokenPipeError:  # flushing the rest at exit would print a complaint
@@ -37,18 +37,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return UNREAD
 
 
-def _run_command(asked: Namespace) -> int:
-    """Run the command in the parsed arguments and return its exit code."""
+def _run_command(asked: Mapping[str, Any]) -> int:
+    """Run the command that parsed arguments name, and return its exit code."""
     from ssp_lp import progress_shown
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
 
-    from .commands import COMMANDS, with_options
+    from .commands import COMMANDS, with_options, with_property
 
     try:
-        shown = asked.verbose or (sys.stderr.isatty() and not asked.quiet)
-        with warnings.catch_warnings(), progress_shown(shown, lasting=asked.verbose):
+        shown = asked["verbose"] or (sys.stderr.isatty() and not asked["quiet"])
+        with warnings.catch_warnings(), progress_shown(shown, lasting=asked["verbose"]):
             warnings.showwarning = _warn_on_command_line
-            for line in COMMANDS[asked.command](asked):
+            for line in COMMANDS[asked["command"]](with_property(asked)):
                 print(line)
         sys.stdout.flush()
     except BrokenPipeError:
@@ -64,11 +64,11 @@ def _run_command(asked: Namespace) -> int:
 
 
 def _warn_on_command_line(message: Warning | str, *_: object, **__: object) -> None:
-    """Write a warning to the standard error of the command line."""
+    """Write a warning to standard error as a line of the command."""
     _tell(f"warning: {message}")
 
 
 def _tell(words: str, code: int = 0) -> int:
-    """Print a message of the command line to standard error and return its exit code."""
+    """Print a message to standard error and return the exit code."""
     print(f"ssp-lp: {words}", file=sys.stderr)
     return code

@@ -29,8 +29,8 @@ _FILES = {"bash": "_shtab_compgen_files", "zsh": "_files", "tcsh": "f"}
 """Completion functions of shells for a file's name, as in shtab's ``FILE``."""
 
 
-class Parameter(NamedTuple):
-    """A command-line argument that stands for an argument of a criterion's class."""
+class _Option(NamedTuple):
+    """An option that stands for an argument of a criterion's class."""
 
     help: str
     type: Callable[[str], Any] = bool  # bool: the flag, or the flag after --no-
@@ -63,24 +63,24 @@ def _float_argument(text: str) -> float:
 
 
 def _number_or_none(text: str) -> float | None:
-    """Return a command-line argument that is a number, or "none"."""
+    """Return a number, or None for "none"."""
     return None if text == "none" else _float_argument(text)
 
 
 def _budgets_argument(text: str) -> float | list[float | None] | None:
-    """Return a command-line argument that is a number or "none", or a list with commas."""
+    """Return a number, None for "none", or a list of these for several between commas."""
     several = [_number_or_none(one) for one in text.split(",")]
     return several if len(several) > 1 else several[0]
 
 
 def _criterion_argument(text: str) -> str:
-    """Return the criterion that a text names: ``min-cost``, ``MinCost`` or ``min_cost``."""
+    """Return the key in ``CRITERIA`` of a name such as ``min-cost``, ``MinCost``, ``min_cost``."""
     letters = re.sub("[-_]", "", text).lower()
     return next((name for name in CRITERIA if name.replace("-", "") == letters), text)
 
 
 def _steps_argument(text: str) -> int | str | None:
-    """Return the command-line argument for a horizon: a number of steps, None, or "env"."""
+    """Return a horizon: a number of steps, None for "none", or "env"."""
     if text in ("env", "none"):
         return text if text == "env" else None
     if text.isdecimal():
@@ -89,7 +89,7 @@ def _steps_argument(text: str) -> int | str | None:
 
 
 def option(name: str, value: object = ...) -> str:
-    """Return the command-line argument of a Python argument: ``--discount 0.9``, ``--no-check``."""
+    """Return the option for a Python argument, such as ``--discount 0.9`` or ``--no-check``."""
     flag = name.replace("_", "-")
     if isinstance(value, bool):
         return f"--{flag}" if value else f"--no-{flag}"
@@ -97,27 +97,27 @@ def option(name: str, value: object = ...) -> str:
 
 
 PARAMETERS = {
-    "failure_budget": Parameter(
+    "failure_budget": _Option(
         "largest failure probability; none, the default of most criteria: the least one; several, "
         "0.01,0.05, make a table of solve",
         _budgets_argument,
         "P[,P]",
     ),
-    "reach_fraction": Parameter(
+    "reach_fraction": _Option(
         "share of the greatest goal probability to attain at least", _float_argument, "SHARE"
     ),
-    "penalty": Parameter("cost of failing", _float_argument, "COST"),
-    "level": Parameter("level of the quantile or the tail, such as 0.95", _float_argument, "P"),
-    "cost_bound": Parameter("greatest total cost", number_argument, "COST"),
-    "cost_budget": Parameter("greatest expected cost", _float_argument, "COST"),
-    "risk_factor": Parameter("exponential utility, < 0: averse to risk", _float_argument, "X"),
-    "goal_bonus": Parameter("utility of the goal itself", _float_argument, "X"),
-    "quantity": Parameter("quantity to minimise, as in --limit", str, "QUANTITY"),
-    "discount": Parameter("of the paper's surrogate, in (0, 1), or none", _number_or_none, "GAMMA"),
-    "give_up": Parameter("giving up: anywhere, attention (states), dead_ends", str, "WHERE"),
-    "charge_failing_step": Parameter("pay for the failing step"),
-    "cost_cap": Parameter("distinguish total costs up to this one", _float_argument, "COST"),
-    "cost_levels": Parameter("number of total costs to distinguish", int, "N"),
+    "penalty": _Option("cost of failing", _float_argument, "COST"),
+    "level": _Option("level of the quantile or the tail, such as 0.95", _float_argument, "P"),
+    "cost_bound": _Option("greatest total cost", number_argument, "COST"),
+    "cost_budget": _Option("greatest expected cost", _float_argument, "COST"),
+    "risk_factor": _Option("exponential utility, < 0: averse to risk", _float_argument, "X"),
+    "goal_bonus": _Option("utility of the goal itself", _float_argument, "X"),
+    "quantity": _Option("quantity to minimise, as in --limit", str, "QUANTITY"),
+    "discount": _Option("of the paper's surrogate, in (0, 1), or none", _number_or_none, "GAMMA"),
+    "give_up": _Option("giving up: anywhere, attention (states), dead_ends", str, "WHERE"),
+    "charge_failing_step": _Option("pay for the failing step"),
+    "cost_cap": _Option("distinguish total costs up to this one", _float_argument, "COST"),
+    "cost_levels": _Option("number of total costs to distinguish", int, "N"),
 }
 """Arguments of criteria, by name; each class says which of them it takes and needs."""
 
@@ -172,7 +172,7 @@ class _OneLineParser(ArgumentParser):
         return asked, unknown
 
     def _check_value(self, action: Action, value: Any) -> None:
-        """Raise ArgumentError for a word of the command line that is not one of the choices."""
+        """Raise ArgumentError for a value that is not one of the choices."""
         if action.choices is not None and value not in action.choices:
             from ssp_lp.errors import did_you_mean
 
@@ -186,7 +186,7 @@ class _OneLineParser(ArgumentParser):
 
 
 def _as_name(flag: str) -> str:
-    """Return the Python name of a command-line argument."""
+    """Return the Python name of an option."""
     return flag.lstrip("-").replace("-", "_")
 
 
@@ -225,7 +225,7 @@ def argument_parser() -> ArgumentParser:
 
 
 Options = dict[str, dict[str, Any]]
-"""Arguments of the command line by name, each with argparse's settings."""
+"""Options by name, each with its settings for argparse."""
 
 
 def _add_all(place: Any, options: Options) -> None:
@@ -237,12 +237,12 @@ def _add_all(place: Any, options: Options) -> None:
 
 
 def _taken(said: str, metavar: str, kind: Callable[[str], Any] = str, **more: Any) -> Any:
-    """Return the settings of an argument of the command line that takes a word."""
+    """Return argparse's settings of an option with a value."""
     return {"help": said, "metavar": metavar, "type": kind, **more}
 
 
 def _switch(said: str, **more: Any) -> Any:
-    """Return the settings of a flag of the command line."""
+    """Return argparse's settings of a flag."""
     return {"help": said, "action": "store_true", **more}
 
 
@@ -269,6 +269,11 @@ _QUESTION: Options = {
 }  # fmt: skip
 
 _JSON: Options = {"--json": _switch("print JSON, for other programs")}
+
+_TABLE: Options = {
+    **_JSON,
+    "--csv": _taken("print CSV, or write a file", "FILE", nargs="?", const="-"),
+}
 
 _ALONE: Options = {
     "--version": {"action": _Version, "nargs": 0, "help": "print the version and exit"},
@@ -349,8 +354,8 @@ _SIMULATE: Options = {
 }  # fmt: skip
 
 
-class Verb(NamedTuple):
-    """A command of the command line: its purpose, its arguments, and examples."""
+class _Verb(NamedTuple):
+    """A command: its purpose, its options, and examples."""
 
     purpose: str
     takes: dict[str, Options]  # by the title of their group; "": without a group
@@ -360,7 +365,7 @@ class Verb(NamedTuple):
 
 
 VERBS = {
-    "solve": Verb(
+    "solve": _Verb(
         "find the best policy within a failure budget, and its proof",
         _SOLVE,
         """\
@@ -372,7 +377,7 @@ VERBS = {
   ssp-lp solve roads.json --start depot --property 'multi(Rmin=? [C], P>=0.95 [F "home"])'
   ssp-lp solve gym:FrozenLake-v1 --criterion cost-bounded-reach --cost-bound 40""",
     ),
-    "check": Verb(
+    "check": _Verb(
         "check a certificate with exact arithmetic and print the interval of the optimum",
         {
             "": {
@@ -388,7 +393,7 @@ VERBS = {
   ssp-lp check roads.cert --model roads.json --goal home --start depot""",
         takes_model=False,
     ),
-    "frontier": Verb(
+    "frontier": _Verb(
         "trace the least cost as a function of the failure budget",
         {
             "the question": _QUESTION,
@@ -399,9 +404,9 @@ VERBS = {
   ssp-lp frontier roads.json --goal home --start depot --criterion s3p --csv frontier.csv
   ssp-lp frontier roads.json --goal home --start depot --failure-budget 0.05 --plot frontier.png
   ssp-lp frontier roads.json --goal home --start depot --limit "cost <= 9" --over cost""",
-        forms=_JSON | {"--csv": _taken("print CSV, or write a file", "FILE", nargs="?", const="-")},
+        forms=_TABLE,
     ),
-    "what-if": Verb(
+    "what-if": _Verb(
         "rank the numbers: derivatives of the optimum by every probability, cost and bound",
         {
             "the question": _QUESTION,
@@ -413,23 +418,23 @@ VERBS = {
         """\
   ssp-lp what-if roads.json --goal home --start depot --failure-budget 0.05
   ssp-lp what-if roads.json --goal home --start depot --criterion maxprob --plot tornado.png""",
-        forms=_JSON | {"--csv": _taken("print CSV, or write a file", "FILE", nargs="?", const="-")},
+        forms=_TABLE,
     ),
-    "explore": Verb(
+    "explore": _Verb(
         "write a page of HTML with a slider along the frontier",
         {"the question": _QUESTION, "": _TRACE | _EXPLORE},
         """\
   ssp-lp explore roads.json --goal home --start depot --failure-budget 0.05 --out roads.html
   ssp-lp explore gym:FrozenLake-v1 --horizon none --out lake.html""",
     ),
-    "program": Verb(
+    "program": _Verb(
         "print or write the linear program of a criterion",
         {"the question": _QUESTION, "": {"--out": _taken("write it: .mps or .lp", "FILE")}},
         """\
   ssp-lp program roads.json --goal home --start depot --failure-budget 0.05
   ssp-lp program roads.json --goal home --start depot --failure-budget 0.05 --out roads.mps""",
     ),
-    "simulate": Verb(
+    "simulate": _Verb(
         "simulate a saved policy, with confidence intervals",
         {"": _SIMULATE | _JSON},
         """\
@@ -437,14 +442,14 @@ VERBS = {
   ssp-lp solve gym:FrozenLake-v1 --policy-out lake.npz
   ssp-lp simulate gym:FrozenLake-v1 --policy lake.npz --episodes 500""",
     ),
-    "info": Verb(
+    "info": _Verb(
         "print a model's sizes, costs and least failure probability",
         {"": _JSON},
         """\
   ssp-lp info roads.json --goal home --start depot
   ssp-lp info gym:FrozenLake-v1 --horizon none --json""",
     ),
-    "convert": Verb(
+    "convert": _Verb(
         "convert a model from one format into another",
         {"": {"target": _taken("a file, or - for JSON on standard output", "TARGET")}},
         """\

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from argparse import ArgumentTypeError, Namespace
+from argparse import ArgumentTypeError
 from ast import literal_eval
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -28,13 +28,14 @@ from ssp_lp.errors import (
     optional_module,
 )
 from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
+from ssp_lp.io.any_format import Start
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json
 from ssp_lp.io.model_files.raw_model import FIRST_COST
 from ssp_lp.methods.labelled_program import program_of
 from ssp_lp.model.report import Table
 from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, plot_tornado, row_major
 from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.remembering import CompletePolicy, LabelledPolicy, RememberingPolicy
+from ssp_lp.policies.remembering import LabelledPolicy, RememberingPolicy
 
 from ..maxprob import MaxProb
 from ..mcmp import MCMP
@@ -46,19 +47,15 @@ if TYPE_CHECKING:
 ENVIRONMENT = "gym:"
 """Prefix of the name of a Gymnasium environment."""
 
-Start = Hashable | Mapping[Hashable, float]
-
-
-def _asking(asked: Namespace, **others: Any) -> Namespace:
-    """Return a copy of a command's arguments with some of them replaced."""
-    return Namespace(**{**vars(asked), **others})
+Asked = Mapping[str, Any]
+"""Arguments of a command by name; those of a criterion only if they were given."""
 
 
 @dataclass(frozen=True)
 class _CommandModel:
     """A model, its start, and the Gymnasium environment that it is made from, if any."""
 
-    asked: Namespace
+    asked: Asked
     model: SSP
     stated_start: Start | None
     horizon: int | None  # steps within which the goal must be reached
@@ -66,10 +63,10 @@ class _CommandModel:
 
     @property
     def start(self) -> Start:
-        """Start of an episode in a command's model.
+        """Start of an episode.
 
         Raises:
-            ModelError: neither the model nor the user gives a start.
+            ModelError: neither the file nor the command states a start.
         """
         if self.stated_start is None:
             raise ModelError("say where an episode begins: --start STATE")
@@ -77,7 +74,7 @@ class _CommandModel:
 
     @property
     def written_out(self) -> tuple[SSP, Start | None]:
-        """A command's model with the horizon's steps counted in its states, and its start.
+        """The model and its start; with a horizon, its states count the steps.
 
         Raises:
             ModelError: a horizon without a start.
@@ -89,58 +86,59 @@ class _CommandModel:
         return counting, counting.start(begin)
 
 
-def command_model(asked: Namespace) -> _CommandModel:
-    """Read the model that a command names.
+def command_model(asked: Asked) -> _CommandModel:
+    """Read the model that the arguments of a command name.
 
     Raises:
         ModelError: no model, or a start that is not a state.
         MissingDependencyError: an environment, but Gymnasium is not installed.
         OSError: the file cannot be read.
     """
-    if asked.model.startswith(ENVIRONMENT):
+    source, goal, cost, ends = (asked[name] for name in ("model", "goal", "cost", "dead_ends"))
+    if source.startswith(ENVIRONMENT):
         return _model_of_environment(asked)
-    cost, ends = asked.cost, asked.dead_ends
-    if cost is None and asked.command in ("info", "convert"):  # which minimise no cost
+    if cost is None and asked["command"] in ("info", "convert"):  # which minimise no cost
         cost = FIRST_COST
-    if asked.model == "-":
-        text = _model_from_standard_input()
-        model, start = parse_json(text, "standard input", asked.goal, cost, ends)
+    if source == "-":
+        model, start = parse_json(_standard_input(), "standard input", goal, cost, ends)
     else:
-        model, start = io.read_any(asked.model, asked.goal, cost, asked.constants, ends)
-    if asked.start is not None:
-        start = _state_named(model, asked.start)
-    return _CommandModel(asked, model, start, None if asked.horizon == "env" else asked.horizon)
+        model, start = io.read_any(source, goal, cost, asked["constants"], ends)
+    if asked["start"] is not None:
+        start = _state_named(model, asked["start"])
+    horizon = None if asked["horizon"] == "env" else asked["horizon"]
+    return _CommandModel(asked, model, start, horizon)
 
 
 @cache
-def _model_from_standard_input() -> str:
-    """Return the text of a command's model on standard input, cached for all of its costs."""
+def _standard_input() -> str:
+    """Return the text on standard input, cached since a model is read once for each cost."""
     return sys.stdin.read()
 
 
-def _model_of_environment(asked: Namespace) -> _CommandModel:
-    """Return a command's model of a Gymnasium environment."""
+def _model_of_environment(asked: Asked) -> _CommandModel:
+    """Make a Gymnasium environment and its model."""
     gymnasium = optional_module("gymnasium", "gym")
-    name, *words = asked.model.removeprefix(ENVIRONMENT).split(",")
+    name, *words = asked["model"].removeprefix(ENVIRONMENT).split(",")
     arguments = {key: _value_for_model(word) for key, _, word in (w.partition("=") for w in words)}
     try:
         environment = gymnasium.make(name, **arguments)
     except (gymnasium.error.Error, TypeError, KeyError, ModuleNotFoundError) as error:
-        raise ModelError(f"Gymnasium cannot make {asked.model!r}: {error}") from error
+        raise ModelError(f"Gymnasium cannot make {asked['model']!r}: {error}") from error
+    goal, start, ends = asked["goal"], asked["start"], asked["dead_ends"]
     world = io.from_gymnasium(
         environment,
-        goal=[_value_for_model(word) for word in asked.goal] or None,
-        cost=asked.cost or "step",
+        goal=[_value_for_model(word) for word in goal] or None,
+        cost=asked["cost"] or "step",
         horizon=None,
-        start=None if asked.start is None else _value_for_model(asked.start),
-        dead_ends=asked.dead_ends and [_value_for_model(word) for word in asked.dead_ends],
+        start=None if start is None else _value_for_model(start),
+        dead_ends=ends and [_value_for_model(word) for word in ends],
     )
-    horizon = world.step_limit if asked.horizon == "env" else asked.horizon
+    horizon = world.step_limit if asked["horizon"] == "env" else asked["horizon"]
     return _CommandModel(asked, world.model, world.start, horizon, environment)
 
 
 def _value_for_model(word: str) -> Any:
-    """Return a word of a command as a Python or JSON value if it is one, else the word."""
+    """Return the Python or JSON value that a word stands for, or the word itself."""
     for read in (literal_eval, json.loads):
         with suppress(ValueError, SyntaxError):
             return read(word)
@@ -148,7 +146,7 @@ def _value_for_model(word: str) -> Any:
 
 
 def _state_named(model: SSP, word: str) -> Hashable:
-    """Return the state that a word of a command names; the word itself if there is none."""
+    """Return the state that a word names; the word itself if there is none."""
     return next((state for state in model.states if str(state) == word), word)
 
 
@@ -166,38 +164,44 @@ _OF_STATES: dict[str, Callable[..., ssp_lp.Quantity]] = {
 _SIGNS: dict[str, Callable[..., ssp_lp.Constraint]] = {"<=": le, ">=": ge, "==": eq}
 
 
-def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
-    """Return the problem that a command states.
+def problem_of(of: _CommandModel, **others: Any) -> Problem:
+    """Return the problem that a command states about its model.
+
+    Args:
+        of: the model, with the arguments of the command.
+        others: arguments in place of those.
 
     Raises:
         ModelError: an argument that the criterion does not have, lacks, or rejects.
     """
-    criterion = getattr(ssp_lp, CRITERIA[asked.criterion])
+    asked = {**of.asked, **others}
+    page = asked["criterion"]
+    criterion = getattr(ssp_lp, CRITERIA[page])
     takes = {field.name: field for field in fields(criterion) if field.name in PARAMETERS}
-    given = attributes_of(asked, *PARAMETERS)
+    given = {name: asked[name] for name in PARAMETERS if name in asked}
     for name in given:
         if name not in takes:
             options = ", ".join(map(option, takes)) or "none"
-            raise ModelError(f"{asked.criterion} has no {option(name)}; its options: {options}")
+            raise ModelError(f"{page} has no {option(name)}; its options: {options}")
     for name, field in takes.items():
         if name not in given and field.default is MISSING and name != "failure_budget":
-            raise ModelError(f"{asked.criterion} needs {option(name)}: {PARAMETERS[name].help}")
+            raise ModelError(f"{page} needs {option(name)}: {PARAMETERS[name].help}")
     if "quantity" in given:
         given["quantity"] = _problem_quantity(given["quantity"], of)
     limits: dict[str, ssp_lp.Constraint] = {}
-    for words in asked.limit:
+    for words in asked["limit"]:
         match = _LIMIT.fullmatch(words.strip())
         if match is None:
             raise ModelError(f'a limit is written "QUANTITY <= NUMBER" (or >=, ==), not "{words}"')
         name, compared = match["words"], _SIGNS[match["sign"]]
         constraint = compared(_problem_quantity(name, of), _problem_number(match["bound"], words))
         limits[words if name in {"failure", *limits} else name] = constraint
-    asked_for = {**given, "constraints": limits, "horizon": of.horizon}
-    return cast("Problem", criterion(of.model, of.start, **asked_for))
+    stated = criterion(of.model, of.start, **given, constraints=limits, horizon=of.horizon)
+    return cast("Problem", stated)
 
 
 def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
-    """Return a sum of quantities in a command's words, " + " between them.
+    """Return the quantity that words such as "cost + 2 * visits(ward)" name.
 
     Raises:
         ModelError: words that are not a quantity of this model.
@@ -221,13 +225,13 @@ def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
 
 
 def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
-    """Return the costs of a command's model that only the file names, [outcomes].
+    """Return the costs, [outcomes], that the file has under a name but the model has not.
 
     Raises:
         ModelError: the file has no costs of this name.
     """
     try:
-        return command_model(_asking(of.asked, cost=word)).model.costs
+        return command_model({**of.asked, "cost": word}).model.costs
     except ModelError as error:
         names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
         nearest = did_you_mean(word, dict.fromkeys(names), "quantities are")
@@ -235,7 +239,7 @@ def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
 
 
 def _problem_number(word: str, whole: str) -> float:
-    """Return a number in a command's words of a limit."""
+    """Return the number that a word stands for; an error shows the words around it."""
     try:
         return float(number_argument(word))
     except ArgumentTypeError as error:
@@ -251,7 +255,7 @@ _TAKEN = 'such as multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"], P<=0.01 [F "c
 
 
 class _Operator(NamedTuple):
-    """An operator of a property: ``P>=0.95 [F "ok"]``."""
+    """One operator of a property, such as ``P>=0.95 [F "ok"]``."""
 
     words: str
     measure: str  # P or R
@@ -262,8 +266,8 @@ class _Operator(NamedTuple):
     target: str | None  # reached state or label; None: [C], the total
 
 
-def with_property(asked: Namespace) -> Namespace:
-    """Return a command's arguments with those that ``--property`` states in PRISM's words.
+def with_property(asked: Asked) -> Asked:
+    """Return the arguments of a command, with those that ``--property`` states in PRISM's words.
 
     The objective gives the criterion, P>= the least probability of the goal; other operators are
     limits: P<= on the probability of an end, R<= on another cost. Costs count until the goal is
@@ -272,21 +276,22 @@ def with_property(asked: Namespace) -> Namespace:
     Raises:
         ModelError: another property, or one that contradicts the other arguments.
     """
-    if asked.property is None:
+    words = asked.get("property")
+    if words is None:
         return asked
-    operators = _operators_in(asked.property)
+    operators = _operators_in(words)
     objectives = [one for one in operators if one.relation.endswith("?")]
     if len(objectives) != 1:
-        raise ModelError(f"{asked.property}: one operator must ask =?, not {len(objectives)}")
+        raise ModelError(f"{words}: one operator must ask =?, not {len(objectives)}")
     (objective,) = objectives
     reaching = [one for one in operators if (one.measure, one.relation) == ("P", ">=")]
     goals = {one.target for one in (objective, *reaching) if one.target is not None}
     if len(goals) != 1:
-        raise ModelError(f"{asked.property}: one goal must be reached, not {sorted(goals)}")
+        raise ModelError(f"{words}: one goal must be reached, not {sorted(goals)}")
     if (objective.measure, objective.relation) not in {("P", "max=?"), ("R", "min=?")}:
         raise ModelError(f"{objective.words}: the objective must be Pmax=? or Rmin=?")
     (goal,) = goals
-    told: dict[str, Any] = {"goal": [goal], "limit": list(asked.limit)}
+    told: dict[str, Any] = {"goal": [goal], "limit": list(asked["limit"])}
     if objective.measure == "P":
         told["criterion"] = "maxprob"
     elif reaching:
@@ -303,12 +308,12 @@ def with_property(asked: Namespace) -> Namespace:
     steps = {one.steps for one in operators if one.steps is not None}
     if steps:
         if len(steps) > 1 or any(one.steps is None and one.target == goal for one in operators):
-            raise ModelError(f"{asked.property}: all operators must have the same number of steps")
+            raise ModelError(f"{words}: all operators must have the same number of steps")
         told["horizon"] = int(*steps)
-    for name, stated in (("goal", asked.goal), ("cost", asked.cost)):
-        if stated and name in told and stated != told[name]:
-            raise ModelError(f"--{name} contradicts the property {asked.property}")
-    return _asking(asked, **{name: word for name, word in told.items() if word is not None})
+    for name in ("goal", "cost"):
+        if asked[name] and asked[name] != told.get(name, asked[name]):
+            raise ModelError(f"--{name} contradicts the property {words}")
+    return {**asked, **{name: word for name, word in told.items() if word is not None}}
 
 
 def _operators_in(words: str) -> list[_Operator]:
@@ -338,7 +343,7 @@ def _operators_in(words: str) -> list[_Operator]:
 
 
 def json_answer(answer: Any) -> list[str]:
-    """Return a command's answer in lines of JSON, with null for infinite and undefined numbers."""
+    """Return an answer in JSON, with null for infinite and undefined numbers."""
     finite = json.loads(json.dumps(answer), parse_constant=lambda _: None)
     return [json.dumps(finite, indent=2, ensure_ascii=False)]
 
@@ -352,12 +357,12 @@ def _csv_answer(path: str, table: Table) -> list[str]:
 
 
 def with_options(error: ssp_lp.SSPError) -> str:
-    """Return an error's message with a command's options in place of Python's arguments."""
+    """Return the message of an error with options in place of Python's arguments."""
     return "".join(option(*one) if isinstance(one, Argument) else str(one) for one in error.args)
 
 
 def figure_for(path: str | None) -> Figure | None:
-    """Return a figure for a command, or None; its format is checked before the solve.
+    """Return a figure that can be saved under a name, or None without a name.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -382,29 +387,30 @@ _WRITERS: dict[str, Callable[[Any, str], object]] = {
 """Writers of policies, by the ending of the file's name."""
 
 
-def _solve_command(asked: Namespace) -> Iterable[str]:
+def _solve_command(asked: Asked) -> Iterable[str]:
     """Run the command ``solve`` and return its lines."""
-    figure, asked, out = figure_for(asked.plot), with_property(asked), asked.policy_out
+    figure, out = figure_for(asked["plot"]), asked["policy_out"]
     write = None if out is None else _WRITERS.get(Path(out).suffix)
     if out is not None and write is None:  # before the solve
         raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {out!r}")
     of = command_model(asked)
-    search = {"tolerance": asked.tolerance, "time_limit": asked.time_limit}
-    if isinstance(budgets := vars(asked).get("failure_budget"), list):
-        return _several_answers(asked, of, budgets, search)
-    problem = problem_of(asked, of)
-    solution = ssp_lp.solve(problem, asked.method, **search)
+    search = {name: asked[name] for name in ("method", "tolerance", "time_limit")}
+    if isinstance(budgets := asked.get("failure_budget"), list):
+        return _several_answers(of, budgets, search)
+    problem = problem_of(of)
+    solution = ssp_lp.solve(problem, **search)
     if write is not None:
-        write(solution.policy_everywhere() if asked.everywhere else solution.policy, out)
-    if asked.certificate_out is not None:
-        ssp_lp.write_certificate(solution, asked.certificate_out)
+        write(solution.policy_everywhere() if asked["everywhere"] else solution.policy, out)
+    if asked["certificate_out"] is not None:
+        ssp_lp.write_certificate(solution, asked["certificate_out"])
     if figure is not None:
-        level = {"level": asked.level} if "level" in asked else {}
+        level = {"level": asked["level"]} if "level" in asked else {}
         plot_cost_law(ssp_lp.success_costs(solution.policy, problem), ax=figure.subplots(), **level)
-        figure.savefig(asked.plot)
-    if asked.json:
-        return json_answer(_solution_table_of_command(solution))
-    return [solution.summary(), *(["", str(solution.policy_table())] if asked.show_policy else [])]
+        figure.savefig(asked["plot"])
+    if asked["json"]:
+        return json_answer(_solution_in_json(solution))
+    decisions = ["", str(solution.policy_table())] if asked["show_policy"] else []
+    return [solution.summary(), *decisions]
 
 
 _WORTH_PROCESSES = 100_000  # outcomes of a model that takes longer to solve than a process to start
@@ -414,69 +420,70 @@ _OF_ONE_ANSWER = "policy_out", "certificate_out", "plot", "show_policy"
 
 
 def _several_answers(
-    asked: Namespace, of: _CommandModel, budgets: Sequence[float | None], search: Mapping[str, Any]
+    of: _CommandModel, budgets: Sequence[float | None], search: Mapping[str, Any]
 ) -> Iterable[str]:
-    """Run the command ``solve`` for several failure budgets and return a table.
+    """Run the command ``solve`` for several failure budgets and return its lines.
 
     Raises:
         ModelError: an output that belongs to a single answer.
     """
-    for name, output in attributes_of(asked, *_OF_ONE_ANSWER).items():
-        if output:
+    for name in ("policy_out", "certificate_out", "plot", "show_policy"):
+        if of.asked[name]:
             raise ModelError(f"{option(name)} needs a single answer: give one --failure-budget")
-    problems = [problem_of(_asking(asked, failure_budget=budget), of) for budget in budgets]
+    problems = [problem_of(of, failure_budget=budget) for budget in budgets]
     executor = ThreadPoolExecutor(1) if of.model.n_outcomes < _WORTH_PROCESSES else None
-    answers = ssp_lp.solve_many(problems, asked.method, executor=executor, **search)
+    answers = ssp_lp.solve_many(problems, executor=executor, **search)
     for error in answers.errors.values():
         error.args = (with_options(error),)
-    if not asked.json:
+    if not of.asked["json"]:
         return [answers.summary()]
     rows: list[dict[str, Any]] = [{"failure_budget": budget} for budget in budgets]
     for row, answer in zip(rows, answers, strict=True):
         if isinstance(answer, Solution):
-            row |= _solution_table_of_command(answer)
+            row |= _solution_in_json(answer)
         else:
             row["error"] = str(answer)
     return json_answer(rows)
 
 
-def _check_command(asked: Namespace) -> Iterable[str]:
+def _check_command(asked: Asked) -> Iterable[str]:
     """Run the command ``check`` and return its lines.
 
     Raises:
         ModelError: a question without a model.
         SolverError: the certificate is refused.
     """
-    problem, asked = None, with_property(asked)
-    if asked.model is not None:
-        problem = problem_of(asked, command_model(asked))
-    elif asked.goal or asked.limit or asked.start or any(name in asked for name in PARAMETERS):
+    problem, file = None, asked["certificate"]
+    if asked["model"] is not None:
+        problem = problem_of(command_model(asked))
+    elif any(asked[name] for name in ("goal", "start", "limit")) or asked.keys() & PARAMETERS:
         raise ModelError("a question needs a model: give --model, or the file alone")
-    checked = ssp_lp.check_certificate(asked.certificate, problem=problem)
+    checked = ssp_lp.check_certificate(file, problem=problem)
     if not checked.accepted:
-        raise SolverError(f"{asked.certificate} is refused: {checked.reason}")
+        raise SolverError(f"{file} is refused: {checked.reason}")
     return [str(checked)]
 
 
-def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
-    """Return a command's solution as a table for other programs."""
+def _solution_in_json(solution: Solution) -> dict[str, Any]:
+    """Return the numbers and decisions of a solution as a JSON object."""
     members = zip(solution.policy.weights.tolist(), solution.policy.policies, strict=True)
+    found = solution.evaluation
     return {
         "criterion": type(solution.problem).__name__,
         "objective": solution.objective,
         "lower_bound": solution.lower_bound if solution.upper_bound is None else None,
         "upper_bound": solution.upper_bound,
         "gap": solution.gap,
-        "goal_probability": solution.goal_probability,
-        "failure_probability": solution.failure_probability,
-        "conditional_cost": solution.conditional_cost,
-        "expected_cost": solution.expected_cost,
+        "goal_probability": found.goal_probability,
+        "failure_probability": found.failure_probability,
+        "conditional_cost": found.conditional_cost,
+        "expected_cost": found.expected_cost,
         "failure_price": solution.failure_price,
         "limits": {
             name: {"value": value, "price": solution.prices.get(name, 0.0)}
             for name, value in solution.secondary_costs.items()
         },
-        "ends": dict(solution.evaluation.ends),
+        "ends": dict(found.ends),
         "policy": [{"weight": weight, **_decisions(member)} for weight, member in members],
         "method": solution.method,
         "seconds": solution.seconds,
@@ -485,59 +492,50 @@ def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
 
 
 def _decisions(policy: Policy) -> dict[str, Any]:
-    """Return the decisions that a command prints, by state; of other policies their repr."""
-    carrying = RememberingPolicy | LabelledPolicy | CompletePolicy
-    inner = policy.inner if isinstance(policy, carrying) else policy
+    """Return the actions of a deterministic policy by state; the repr of another policy."""
+    inner = policy.inner if isinstance(policy, RememberingPolicy | LabelledPolicy) else policy
     if not isinstance(inner, ssp_lp.DeterministicPolicy):
         return {"kind": repr(policy)}
     return {"actions": {str(state): str(action) for state, action in inner.actions().items()}}
 
 
+def _traced_frontier(of: _CommandModel) -> ssp_lp.Frontier:
+    """Return the frontier that a command traces."""
+    limits = {name: of.asked[name] for name in ("over", "gap", "point_limit", "time_limit")}
+    return ssp_lp.trace_frontier(problem_of(of), **limits)
+
+
+def _explore_command(asked: Asked) -> Iterable[str]:
+    """Run the command ``explore`` and return its lines."""
+    of, out = command_model(asked), asked["out"]
+    traced = _traced_frontier(of)
+    world = of.environment and of.environment.unwrapped
+    drawn: Any = getattr(world, "desc", ())  # a map in letters
+    rows, columns = len(drawn), len(drawn[0]) if len(drawn) else 0
+    cells = row_major(rows, columns) if rows * columns == of.model.n_states else None
+    explore(traced, out, cells=cells, seed=asked["seed"])
+    return [repr(traced).splitlines()[0], f"page written to {Path(out).resolve()}"]
+
+
+def _frontier_command(asked: Asked) -> Iterable[str]:
+    """Run the command ``frontier`` and return its lines."""
+    figure = figure_for(asked["plot"])
+    traced = _traced_frontier(command_model(asked))
+    if figure is not None:
+        budget = asked.get("failure_budget") if traced.over == "failure" else None
+        plot_frontier(traced, budget, ax=figure.subplots())
+        figure.savefig(asked["plot"])
+    (table,) = traced.tables()
+    if asked["json"]:
+        points = table.records()
+        return json_answer({"gap": traced.gap, "complete": traced.complete, "points": points})
+    return _csv_answer(asked["csv"], table) if asked["csv"] else replace(table, shown=None).lines()
+
+
 _LISTED = 8  # actions that ``info`` names
 
 
-def _traced_frontier(asked: Namespace, of: _CommandModel) -> ssp_lp.Frontier:
-    """Return the frontier that a command traces."""
-    return ssp_lp.trace_frontier(
-        problem_of(asked, of),
-        asked.over,
-        gap=asked.gap,
-        point_limit=asked.point_limit,
-        time_limit=asked.time_limit,
-    )
-
-
-def _explore_command(asked: Namespace) -> Iterable[str]:
-    """Run the command ``explore`` and return its lines."""
-    asked = with_property(asked)
-    found = command_model(asked)
-    traced = _traced_frontier(asked, found)
-    world = None if found.environment is None else found.environment.unwrapped
-    drawn = attributes_of(world, "desc").get("desc", ())  # a map in letters
-    rows, columns = len(drawn), len(drawn[0]) if len(drawn) else 0
-    is_map = rows * columns == found.model.n_states
-    cells = row_major(rows, columns) if is_map else None
-    explore(traced, asked.out, cells=cells, seed=asked.seed)
-    return [repr(traced).splitlines()[0], f"page written to {Path(asked.out).resolve()}"]
-
-
-def _frontier_command(asked: Namespace) -> Iterable[str]:
-    """Run the command ``frontier`` and return its lines."""
-    figure = figure_for(asked.plot)
-    asked = with_property(asked)
-    traced = _traced_frontier(asked, command_model(asked))
-    if figure is not None:
-        stated = attributes_of(asked, "failure_budget") if traced.over == "failure" else {}
-        plot_frontier(traced, stated.get("failure_budget"), ax=figure.subplots())
-        figure.savefig(asked.plot)
-    (table,) = traced.tables()
-    if asked.json:
-        points = table.records()
-        return json_answer({"gap": traced.gap, "complete": traced.complete, "points": points})
-    return _csv_answer(asked.csv, table) if asked.csv else replace(table, shown=None).lines()
-
-
-def _info_command(asked: Namespace) -> Iterable[str]:
+def _info_command(asked: Asked) -> Iterable[str]:
     """Run the command ``info`` and return its lines."""
     model, start = command_model(asked).written_out
     names = list(map(str, model.action_names))
@@ -554,67 +552,64 @@ def _info_command(asked: Namespace) -> Iterable[str]:
     }
     if start is not None:
         facts["least failure"] = ssp_lp.solve(MaxProb(model, start)).failure_probability
-    if asked.json:
+    if asked["json"]:
         return json_answer(facts)
     return Table([*facts.items()]).lines()
 
 
-def _simulate_command(asked: Namespace) -> Iterable[str]:
+def _simulate_command(asked: Asked) -> Iterable[str]:
     """Run the command ``simulate`` and return its lines."""
-    check_whole("seed", asked.seed, 0)
-    found = command_model(asked)
-    problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
-    policy = io.load_policy(asked.policy, problem.unrolled.model, check=asked.check)
-    settings = attributes_of(asked, "episodes", "max_steps", "confidence")
+    check_whole("seed", asked["seed"], 0)
+    of = command_model(asked)
+    problem = MCMP(of.model, of.start, failure_budget=1.0, horizon=of.horizon)
+    policy = io.load_policy(asked["policy"], problem.unrolled.model, check=asked["check"])
+    settings = {name: asked[name] for name in ("episodes", "seed", "max_steps", "confidence")}
     report: Any
-    if found.environment is not None:
-        report = io.rollout(found.environment, policy, seed=asked.seed, **settings)
+    if of.environment is not None:
+        report = io.rollout(of.environment, policy, **settings)
     else:
-        report = ssp_lp.simulate(policy, problem, seed=asked.seed, **settings)
-    if not asked.json:
+        report = ssp_lp.simulate(policy, problem, **settings)
+    if not asked["json"]:
         return [report.summary()]
     facts = {fact["name"].replace(" ", "_"): fact["value"] for fact in report.tables()[0].records()}
     plain = {k: v._asdict() if isinstance(v, Estimate) else v for k, v in facts.items()}
     return json_answer(plain | {"ends": dict(facts["ends"])})
 
 
-def _convert_command(asked: Namespace) -> Iterable[str]:
+def _convert_command(asked: Asked) -> Iterable[str]:
     """Run the command ``convert`` and return its lines."""
-    found = command_model(asked)
-    model, start = found.written_out
-    if asked.target == "-":
+    model, start = command_model(asked).written_out
+    if asked["target"] == "-":
         return ["".join(model_in_json(model, start)).rstrip()]
-    io.write_any(model, asked.target, start)
+    io.write_any(model, asked["target"], start)
     return []
 
 
-def _program_command(asked: Namespace) -> Iterable[str]:
+def _program_command(asked: Asked) -> Iterable[str]:
     """Run the command ``program`` and return its lines."""
-    asked = with_property(asked)
-    program = program_of(problem_of(asked, command_model(asked)))
-    if asked.out is not None:
-        program.write(asked.out)
+    program = program_of(problem_of(command_model(asked)))
+    if asked["out"] is not None:
+        program.write(asked["out"])
     return [str(program)]
 
 
-def _what_if_command(asked: Namespace) -> Iterable[str]:
+def _what_if_command(asked: Asked) -> Iterable[str]:
     """Run the command ``what-if`` and return its lines."""
-    figure = figure_for(asked.plot)
-    asked = with_property(asked)
-    found = ssp_lp.solve(problem_of(asked, command_model(asked)))
-    effects = found.what_if(time_limit=asked.time_limit)
+    figure = figure_for(asked["plot"])
+    solution = ssp_lp.solve(problem_of(command_model(asked)))
+    effects = solution.what_if(time_limit=asked["time_limit"])
     if figure is not None:
         plot_tornado(effects, ax=figure.subplots())
-        figure.savefig(asked.plot)
+        figure.savefig(asked["plot"])
     (table,) = effects.tables()
-    if asked.json:
+    if asked["json"]:
         numbers = [row | {name: str(row[name]) for name in ("state", "action", "successor")}
                    for row in table.records()]  # fmt: skip
-        return json_answer({"objective": found.objective, "numbers": numbers})
-    return _csv_answer(asked.csv, table) if asked.csv else table.lines()
+        return json_answer({"objective": solution.objective, "numbers": numbers})
+    return _csv_answer(asked["csv"], table) if asked["csv"] else table.lines()
 
 
-COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
+COMMANDS: dict[str, Callable[[Asked], Iterable[str]]] = {
     "solve": _solve_command,
     "frontier": _frontier_command,
     "explore": _explore_command,

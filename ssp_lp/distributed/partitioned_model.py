@@ -23,7 +23,7 @@ from ssp_lp.distributed.process import CompiledPartitioned, PartitionedProcess
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.errors import ModelError, check_whole, wrong_argument
 from ssp_lp.formulation import Formulation
-from ssp_lp.io.archives import ModelFile
+from ssp_lp.io.archives import StoredModel
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.model.continuous_model import ContinuousModel
@@ -180,7 +180,7 @@ class PartitionedModel:
             ModelError: the file has another format, or is damaged; the message names it.
             OSError: the file cannot be opened.
         """
-        file = Ranks().agreed(lambda: ModelFile(path))
+        file = Ranks().agreed(lambda: StoredModel(path))
         bounds = np.linspace(0, file.n_states, Ranks().comm.size + 1).astype(np.int64)
         stated = file.rows, file.n_states, file.goal_states
         return cls.from_rows(*stated, state_labels=file.state_labels, bounds=bounds)

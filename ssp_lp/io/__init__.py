@@ -27,8 +27,4 @@ from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
 from ssp_lp.io.model_files.umb import read_umb as read_umb, write_umb as write_umb
 from ssp_lp.io.storm_models import from_stormpy as from_stormpy, read_with_storm as read_with_storm
 
-__all__ = sorted(
-    name
-    for name, value in globals().items()
-    if callable(value) and value.__module__.startswith("ssp_lp.")
-)
+__all__ = sorted(name for name, value in globals().items() if callable(value) and name[0] != "_")

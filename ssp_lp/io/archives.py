@@ -13,8 +13,10 @@ from dataclasses import asdict, fields, is_dataclass, replace
 from enum import Enum
 from fractions import Fraction
 from hashlib import sha256
+from io import SEEK_CUR
 from itertools import pairwise
 from math import isclose, isfinite
+from operator import eq
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -23,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp import policies
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, fields_of, read_only
+from ssp_lp.arrays import read_only
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import Argument, ModelError, attributes_of
 from ssp_lp.io.controller import controller_label
@@ -54,9 +56,7 @@ AnyPolicy = Policy | MixedPolicy
 _VERSION = 1
 """Version of each kind of file."""
 
-
 _HEADER, _PACKED = "header", b"PK"  # the first bytes of an archive
-_PASSED = 1 << 22  # bytes of an array that are skipped at a time
 _LARGEST_HEADER = 1 << 28  # bytes that are unpacked: names of some ten million states
 
 
@@ -106,7 +106,7 @@ class _Arrays(dict[str, Array]):
 _OTHER_ARRAY = "the array {} has another type or size than expected"
 
 
-def _header_of(archive: Any, path: FilePath, kind: str) -> Any:
+def _header_of(archive: Any, kind: str) -> Any:
     """Return the header of an archive that numpy has opened.
 
     Raises:
@@ -147,7 +147,7 @@ def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, A
                 raise ModelError(f"write one by save_{kind} of ssp_lp.io")
             stream.seek(0)
             archive = opened.enter_context(np.load(stream, allow_pickle=False))
-            header = _header_of(archive, path, kind)
+            header = _header_of(archive, kind)
         except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damage
             raise ModelError(f"{path} is not an ssp-lp {kind} file: {error}") from error
         try:
@@ -199,7 +199,12 @@ def save_model(model: SSP, path: FilePath) -> None:
         "exact_costs": [[cost, str(exact)] for cost, exact in model.exact_costs.items()],
         "named_costs": list(model.named_costs),
     }
-    found = attributes_of(model, *_ARRAYS) | {
+    found = {
+        "pair_action": model.pair_action,
+        "pair_offsets": model.pair_offsets,
+        "outcome_offsets": model.outcome_offsets,
+        "successors": model.successors,
+        "probabilities": model.probabilities,
         "costs": model.costs[:1] if uniform else model.costs,
         "goal_states": np.flatnonzero(model.goal_mask),
         "label_offsets": np.cumsum([0, *(len(at) for at in members)]),
@@ -210,7 +215,7 @@ def save_model(model: SSP, path: FilePath) -> None:
     write_archive(path, "model", header, arrays | named)
 
 
-class ModelFile:
+class StoredModel:
     """A file of :func:`save_model`, of which ranges of states can be read."""
 
     def __init__(self, path: FilePath) -> None:
@@ -247,7 +252,7 @@ class ModelFile:
         )
 
     def _read(self, name: str, begin: int, end: int) -> tuple[Array, int]:
-        """Return a range of an array in the file, read in pieces, and the array's length.
+        """Return the entries ``begin`` to ``end`` of an array in the file, and the array's length.
 
         Raises:
             ModelError: naming the file: it is damaged.
@@ -259,16 +264,11 @@ class ModelFile:
                 (length, *more), _, kind = headers[not is_first](file)
                 if more or kind.hasobject or end > length:
                     raise ValueError(_OTHER_ARRAY.format(name))
-                at, found = 0, [np.zeros(0, dtype=kind)]
-                while at < end:
-                    count = min(_PASSED // kind.itemsize, (begin if at < begin else end) - at)
-                    piece = np.frombuffer(file.read(count * kind.itemsize), dtype=kind)
-                    if at >= begin:
-                        found.append(piece)
-                    at += count
+                file.seek(begin * kind.itemsize, SEEK_CUR)
+                found = np.frombuffer(file.read((end - begin) * kind.itemsize), dtype=kind)
         except Exception as damage:  # zipfile, zlib and numpy raise a dozen kinds
             raise ModelError(f"{self._path} is damaged: {damage!r}") from damage
-        return np.concatenate(found).astype(kind.newbyteorder("=")), length
+        return found.astype(kind.newbyteorder("=")), length
 
 
 @explained
@@ -456,28 +456,30 @@ class _PolicyRecords:
         self._add(policy)
         if len(self._models) != 1:
             raise ModelError("the parts of the policy are on several models: save each by itself")
-        (model,), horizon, label = self._models.values(), None, None
-        stated = model
+        (model,) = self._models.values()
+        stated, horizon, label = model, None, None
         if (labelled := model.failure_label) is not None:
-            stated, n = labelled.original, labelled.n_original
-            label = {
-                "open_pairs": self.add_array(labelled.open_pairs),
-                "charged": self.add_array(labelled.charged),
-                "costs": self.add_array(labelled.costs),
-                "free_pairs": self.add_array(labelled.free_pairs),
-                "stops": self.add_array(labelled.stops[:n]),
-                "charges": labelled.charges,
+            stated = labelled.original
+            arrays = {
+                "open_pairs": labelled.open_pairs,
+                "charged": labelled.charged,
+                "costs": labelled.costs,
+                "free_pairs": labelled.free_pairs,
+                "stops": labelled.stops[: labelled.n_original],
             }
+            named = {name: self.add_array(array) for name, array in arrays.items()}
+            label = {**named, "charges": labelled.charges}
         if isinstance(stated, HorizonSSP):
-            begin = np.flatnonzero(stated.table[:, 0] >= 0)
-            horizon = {
-                "steps": stated.steps,
-                "begin": self.add_array(begin),
-                "survive": stated.survive,
-            }
-        prints = {"model": fingerprint(model), "pairs": pair_print(model)}
-        header = {"sizes": repr(model), "policies": self._records}
-        return prints | header | {"horizon": horizon, "label": label}
+            begin = self.add_array(np.flatnonzero(stated.table[:, 0] >= 0))
+            horizon = {"steps": stated.steps, "begin": begin, "survive": stated.survive}
+        return {
+            "model": fingerprint(model),
+            "pairs": pair_print(model),
+            "sizes": repr(model),
+            "policies": self._records,
+            "horizon": horizon,
+            "label": label,
+        }
 
     def add_array(self, array: Array) -> str:
         """Return the name of an array in the archive; equal arrays are stored once."""
@@ -519,8 +521,6 @@ class _PolicyRecords:
         return value if value is None or isinstance(value, bool) else float(value)
 
 
-_NUMBERS = ("objective", "lower_bound", "failure_price", "budget_used", "note", "upper_bound")
-
 _ROUNDING = 1e-9
 """Relative difference within which budgets are equal that follow from a recomputed share."""
 
@@ -543,7 +543,14 @@ def save_solution(solution: Solution, path: FilePath) -> None:
     header = records.header(solution.policy)
     header["problem"] = _solution_words(problem)
     header["start"] = records.add_array(start_distribution(problem.model, problem.start))
-    header["numbers"] = attributes_of(solution, *_NUMBERS)
+    header["numbers"] = {
+        "objective": solution.objective,
+        "lower_bound": solution.lower_bound,
+        "upper_bound": solution.upper_bound,
+        "failure_price": solution.failure_price,
+        "budget_used": solution.budget_used,
+        "note": solution.note,
+    }
     header["prices"] = {name: float(price) for name, price in solution.prices.items()}
     header["value_function"] = None if values is None else records.add_array(np.asarray(values))
     header["run"], header["status"] = asdict(solution.run), solution.status.name
@@ -641,13 +648,18 @@ def fingerprint(model: SSP) -> str:
         '91f3cedaabf4992f'
     """
     digest = sha256(_FINGERPRINT_VERSION.encode())
-    structure = "pair_offsets", "outcome_offsets", "successors", "pair_action", "goal_mask"
-    for name, array in attributes_of(model, *structure).items():
-        _fingerprint_array(digest.update, name, array, "<i8")
-    costs = {f"cost {name!r}": costs for name, costs in model.named_costs.items()}
-    numbers = {"probabilities": model.probabilities, "costs": model.costs, **costs}
-    for name, array in numbers.items():
-        _fingerprint_array(digest.update, name, array, "<f8")
+    arrays: dict[str, Array] = {
+        "pair_offsets": model.pair_offsets,
+        "outcome_offsets": model.outcome_offsets,
+        "successors": model.successors,
+        "pair_action": model.pair_action,
+        "goal_mask": model.goal_mask,
+        "probabilities": model.probabilities,
+        "costs": model.costs,
+        **{f"cost {name!r}": costs for name, costs in model.named_costs.items()},
+    }
+    for name, array in arrays.items():
+        _hash_array(digest.update, name, array)
     states, actions = (  # their number if they are 0, 1, ...
         len(names) if are_numbers_in_turn(names) else [stated_value(label) for label in names]
         for names in (model.states, model.action_names)
@@ -672,14 +684,13 @@ def fingerprint(model: SSP) -> str:
 def pair_print(model: SSP) -> str:
     """Return the SHA-256 of a model's pairs by state, which a policy depends on."""
     digest = sha256(b"ssp-lp pairs 1")
-    _fingerprint_array(digest.update, "pair_offsets", model.pair_offsets, "<i8")
+    _hash_array(digest.update, "pair_offsets", model.pair_offsets)
     return digest.hexdigest()
 
 
-def _fingerprint_array(
-    update: Callable[[bytes], None], name: str, array: FloatArray | IntArray | BoolArray, kind: str
-) -> None:
-    """Add an array to the fingerprint."""
+def _hash_array(update: Callable[[bytes], None], name: str, array: Array) -> None:
+    """Add an array to a fingerprint, which ``update`` extends by bytes."""
+    kind = "<f8" if array.dtype.kind == "f" else "<i8"
     update(f"\n{name} {len(array)}\n".encode())
     for first in range(0, len(array), _PIECE):
         # adding zero turns -0.0 into 0.0
@@ -734,6 +745,5 @@ def stated_value(label: Hashable) -> Any:
 
 def are_numbers_in_turn(labels: Sequence[Hashable]) -> bool:
     """Return whether labels are the whole numbers 0, 1, ..., so that an archive can omit them."""
-    if isinstance(labels, range):
-        return labels == range(len(labels))
-    return all(label == k for k, label in enumerate(labels))
+    in_turn = range(len(labels))
+    return labels == in_turn or all(map(eq, labels, in_turn))

@@ -164,7 +164,7 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
     type_, code = (
         text.replace("NAME", name).replace("DRAWN", str(_DRAWN)) for text in (_MEMBER, _CODE)
     )
-    states = (f"   {k}: {_c_comment(state)}" for k, state in enumerate(model.states))
+    states = (f"   {k}: {state!a}".replace("*/", "* /") for k, state in enumerate(model.states))
     actions = ", ".join(_c_string(str(action)) for action in model.action_names)
     lines = [
         f"/* A policy of ssp-lp, made for the model {fingerprint(model)}.",
@@ -228,13 +228,8 @@ def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
     return fields
 
 
-def _c_comment(label: object) -> str:
-    """Return a label as part of a C comment."""
-    return repr(label).replace("*/", "* /").encode("ascii", "backslashreplace").decode()
-
-
 def _c_string(text: str) -> str:
-    """Return a text as a C literal, with octal escapes for bytes of UTF-8 that are not plain."""
+    """Return a text as a C literal; octal escapes stand for all but a few bytes of its UTF-8."""
     plain = (chr(b) if chr(b).isalnum() or chr(b) in " _-+,.:()" else "" for b in range(128))
     known = dict(enumerate(plain))
     return '"' + "".join(known.get(b) or f"\\{b:03o}" for b in text.encode()) + '"'

@@ -99,7 +99,7 @@ class Controller:
         self._member: dict[str, Any] | None = None
 
     def reset(self, seed: int | None = None, *, world: str = "model") -> None:
-        """Begin an episode of the controller.
+        """Begin an episode.
 
         Args:
             seed: of the lottery and of random actions; None: continue with the generator.
@@ -173,7 +173,7 @@ class Controller:
         """Set the memory of an episode that begins in a state."""
         member, self._memory = self._current(), 0
         try:
-            self._memory = _controller_start(member["memory"], state)
+            self._memory = _start_memory(member["memory"], state)
         except ValueError:
             if "otherwise" not in member:
                 raise
@@ -186,8 +186,11 @@ class Controller:
         is_over |= acts and state in member["ends"]
         if is_over or self._alone:
             return int(member["afterwards" if is_over else "otherwise"][state])
-        memory, place = _innermost_of_controller(member["memory"], self._memory, state)
-        choice = member["decision"][memory][place]
+        place, memory, number = state, member["memory"], self._memory
+        while memory is not None and "place" in memory:
+            place, memory = _place_of(memory, number[0], place), memory["inner"]
+            number = number[1]
+        choice = member["decision"][number][place]
         if isinstance(choice, list):
             kept = [one for one in choice if not self._quits or one[0] >= len(self._actions)]
             codes, shares = zip(*kept, strict=True)
@@ -198,7 +201,7 @@ class Controller:
         return int(member["otherwise"][state] if acts and choice < 0 else choice)
 
     def observe(self, successor: Hashable, cost: float) -> None:
-        """Observe the successor and cost of the step, to update the controller's memory.
+        """Update the memory by the successor and the cost of a step.
 
         Raises:
             ValueError: unknown state, an episode that is over, an action that was observed already,
@@ -221,18 +224,22 @@ class Controller:
             self._alone = 1
         elif not self._alone:
             step = (*self._step, there)
-            kept = _controller_after(member["memory"], self._memory, step, float(cost), self._quits)
+            kept = _memory_after(member["memory"], self._memory, step, float(cost), self._quits)
             self._memory = kept
         self._step, self._is_observed, self._quits = (there, self._step[1]), True, False
 
     def _current(self) -> dict[str, Any]:
-        """Return the member of the lottery that the controller plays."""
+        """Return the member of the lottery that plays the episode.
+
+        Raises:
+            RuntimeError: no episode was begun.
+        """
         if self._member is None:
             raise RuntimeError("call reset(seed) before the first action of an episode")
         return self._member
 
     def _state(self, label: Hashable) -> int:
-        """Return the number of a state that the controller observes."""
+        """Return the number of a state, or raise ValueError if the model does not have it."""
         with suppress(KeyError, TypeError):  # such as a list, which has no hash
             if isinstance(label, Integral) or not self._are_numbered:
                 return self._index[label]
@@ -244,51 +251,57 @@ class Controller:
         return f"Controller(model {self.model[:16]}, {states:,} states, members: {members})"
 
 
-def controller_checksum(told: dict[str, Any]) -> str:
-    """Return the SHA-256 of a controller's file without its checksum, as compact sorted JSON."""
-    said = {name: value for name, value in told.items() if name != "checksum"}
-    return sha256(json.dumps(said, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+def controller_checksum(content: dict[str, Any]) -> str:
+    """Return the SHA-256 of all entries but the checksum, as compact JSON with sorted keys."""
+    hashed = {name: value for name, value in content.items() if name != "checksum"}
+    return sha256(json.dumps(hashed, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def controller_label(value: Any) -> Hashable:
-    """Return a controller's label from its JSON value: lists are tuples."""
+    """Return the label that a JSON value stands for: lists are tuples."""
     if isinstance(value, list):
         return tuple(controller_label(part) for part in value)
     return cast("Hashable", value)
 
 
-def _controller_start(memory: dict[str, Any] | None, state: int) -> Any:
-    """Return the controller's initial memory."""
+def _start_memory(memory: dict[str, Any] | None, state: int) -> Any:
+    """Return the memory of an episode that begins in a state."""
     if memory is None:
         return 0
     if "place" in memory:
         number = memory.get("start", 0)
-        place = _controller_place(memory, number, state)
-        return [number, _controller_start(memory["inner"], place)]
-    return 0 if memory["levels"] is not None else _controller_layer(memory, 0, state)
+        place = _place_of(memory, number, state)
+        return [number, _start_memory(memory["inner"], place)]
+    return 0 if memory["levels"] is not None else _layer_or_tail(memory, 0, 0, state)
 
 
-def _controller_place(memory: dict[str, Any], number: int, state: int) -> int:
-    """Return the controller's situation: that of a state and a memory's number."""
+def _place_of(memory: dict[str, Any], number: int, state: int) -> int:
+    """Return the situation of a state and a memory's number.
+
+    Raises:
+        ValueError: the policy does not have this memory in this state.
+    """
     place: int = memory["place"][number][state]
     if place < 0:
         raise ValueError("the policy does not have this memory in this state")
     return place
 
 
-def _innermost_of_controller(
-    memory: dict[str, Any] | None, value: Any, state: int
-) -> tuple[int, int]:
-    """Return the controller's innermost memory, and the state that it is for."""
-    while memory is not None and "place" in memory:
-        state, memory, value = _controller_place(memory, value[0], state), memory["inner"], value[1]
-    return value, state
-
-
-def _controller_after(
+def _memory_after(
     memory: dict[str, Any] | None, value: Any, step: tuple[int, int, int], cost: float, quits: bool
 ) -> Any:
-    """Return the controller's memory after a step from a state by an action to a successor."""
+    """Return the memory after a step.
+
+    Args:
+        memory: description of the memory in the file.
+        value: the memory before the step.
+        step: state, action and successor.
+        cost: of the step.
+        quits: whether the action is taken with giving up.
+
+    Raises:
+        ValueError: a cost or a step that the memory does not have.
+    """
     if memory is None:
         return value
     state, action, successor = step
@@ -299,36 +312,39 @@ def _controller_after(
             then = int(fails or number == 1)
             cost = memory["charge"][state] if fails else 0.0 if then else cost
         else:
-            then = _counted_by_controller(memory, number, step, cost)
+            then = _number_after(memory, number, step, cost)
         places = zip((number, then), (state, successor), strict=True)
-        place, there = (_controller_place(memory, *one) for one in places)
-        inner = _controller_after(memory["inner"], inner, (place, action, there), cost, quits)
+        place, there = (_place_of(memory, *one) for one in places)
+        inner = _memory_after(memory["inner"], inner, (place, action, there), cost, quits)
         return [then, inner]
     number = value
     if not memory["acting"][successor] or number >= memory["cap"]:
         return number
     if memory["levels"] is not None:
-        # the controller's level of cost nearest to the total after a step
-        levels, cap = memory["levels"], memory["cap"]
-        total = levels[number] + cost
-        above = min(max(bisect_left(levels, total), 1), cap)
-        nearer_below = total - levels[above - 1] <= levels[above] - total
-        level = above - 1 if nearer_below else above
-        return level if level < cap else _controller_tail(memory, total, successor)
+        levels, total = memory["levels"], memory["levels"][number] + cost
+        above = min(max(bisect_left(levels, total), 1), memory["cap"])
+        is_below_nearer = total - levels[above - 1] <= levels[above] - total
+        return _layer_or_tail(memory, above - is_below_nearer, total, successor)
     paid = cost / memory["unit"]
     if memory["rounds_up"]:
-        passed = ceil(min(paid, _FAR) * (1.0 - _SAME_TOTAL))
-        return _controller_layer(memory, number + passed, successor)
-    steps = round(min(paid, 2.0 * _FAR))
-    if steps > _FAR or abs(paid - steps) > _OFF_LATTICE:
-        raise ValueError(f"observed cost {cost!r} is not a multiple of the unit {memory['unit']!r}")
-    return _controller_layer(memory, number + steps, successor)
+        number += ceil(min(paid, _FAR) * (1.0 - _SAME_TOTAL))
+    else:
+        steps = round(min(paid, 2.0 * _FAR))
+        if steps > _FAR or abs(paid - steps) > _OFF_LATTICE:
+            unit = memory["unit"]
+            raise ValueError(f"observed cost {cost!r} is not a multiple of the unit {unit!r}")
+        number += steps
+    return _layer_or_tail(memory, number, number, successor)
 
 
-def _counted_by_controller(
+def _number_after(
     memory: dict[str, Any], number: int, step: tuple[int, int, int], cost: float
 ) -> int:
-    """Return the number of a controller's memory after a step."""
+    """Return the number of a memory of steps or of a task after a step.
+
+    Raises:
+        ValueError: the model has no such step at this cost.
+    """
     if memory["kind"] == "steps":
         late = memory["acting"][step[2]] and number + 1 >= memory["steps"]
         return int(memory["steps"] + 1) if late else number + 1
@@ -343,12 +359,9 @@ def _counted_by_controller(
     raise ValueError(f"the model has no such step at observed cost {cost!r}")
 
 
-def _controller_layer(memory: dict[str, Any], layer: int, state: int) -> int:
-    """Return the controller's layer below the cap, then the tail."""
-    return layer if layer < int(memory["cap"]) else _controller_tail(memory, layer, state)
-
-
-def _controller_tail(memory: dict[str, Any], reached: float, state: int) -> int:
-    """Return the controller's tail: the last one from the state's threshold on."""
-    threshold, last = memory["threshold"][state], memory["tails"] - 1
-    return int(memory["cap"] + (0 if threshold is None or reached < threshold else last))
+def _layer_or_tail(memory: dict[str, Any], layer: int, reached: float, state: int) -> int:
+    """Return a layer below the cap, else the number of a tail: the last from the threshold on."""
+    threshold, cap = memory["threshold"][state], int(memory["cap"])
+    if layer < cap:
+        return layer
+    return cap if threshold is None or reached < threshold else cap + int(memory["tails"]) - 1

@@ -6,7 +6,7 @@ import logging
 import warnings
 from bisect import bisect
 from collections import Counter
-from collections.abc import Callable, Container, Hashable, Iterable, Mapping
+from collections.abc import Callable, Container, Hashable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, cached_property, partial
@@ -17,13 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.analysis.simulation import (
-    Estimate,
-    greatest_total,
-    mean_estimate,
-    pairs_taken,
-    proportion_estimate,
-)
+from ssp_lp.analysis import simulation
+from ssp_lp.analysis.simulation import Estimate
 from ssp_lp.arrays import (
     SINGLE_PRECISION_SUM,
     BoolArray,
@@ -52,15 +47,8 @@ from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import ProductSSP, within_steps
 from ssp_lp.model.report import Facts, Table
 from ssp_lp.model.ssp import SSP, StateSet, no_lone_string
-from ssp_lp.policies.policy import (
-    GIVE_UP_CODE,
-    MOST_EPISODES,
-    UNDECIDED,
-    MixedPolicy,
-    Policy,
-    as_lottery,
-    check_costs,
-)
+from ssp_lp.policies import MixedPolicy, Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, UNDECIDED, as_lottery, check_costs
 from ssp_lp.policies.remembering import on_original
 
 if TYPE_CHECKING:
@@ -226,13 +214,10 @@ def from_gymnasium(
         steps = limit if grid is None else None
     if grid is None:
         table, begin = _table_of(env), _start_of(env, start)
-        _checked_set(table, "start", begin)
-        is_goal = goal if goal is None or callable(goal) else _checked_set(table, "goal", goal)
-        model = _model_of_table(table, begin, is_goal, paid)
-        if dead_ends is not None and not callable(dead_ends):
-            dead_ends = _checked_set(table, "dead_ends", dead_ends)
-        if dead_ends is not None:
-            model.with_dead_ends(partial(model.ends_among, dead_ends))
+        _predicate(table, "start", begin)
+        model = _model_of_table(table, begin, _predicate(table, "goal", goal), paid)
+        if (is_dead_end := _predicate(table, "dead_ends", dead_ends)) is not None:
+            model.with_dead_ends(partial(model.ends_among, is_dead_end))
     else:
         if goal is None or start is None:
             missing = "goal" if goal is None else "start"
@@ -254,8 +239,14 @@ def from_gymnasium(
     return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps, continuous)
 
 
-def _checked_set(table: _Table, name: str, listed: Iterable[Hashable]) -> Callable[[Any], bool]:
-    """Return a predicate for a set of the environment's states; ModelError for an unknown one."""
+def _predicate(table: _Table, name: str, listed: StateSet | None) -> Callable[[Any], bool] | None:
+    """Return a predicate for a set of the environment's states, if it is not one already.
+
+    Raises:
+        ModelError: a state that the table does not have.
+    """
+    if listed is None or callable(listed):
+        return listed
     members = {_plain(state) for state in no_lone_string(listed, name)}
     for state in members.difference(table.states):
         nearest = did_you_mean(state, table.states, "its states:")
@@ -312,9 +303,9 @@ def continuous_from_gymnasium(
             f"{_name_of(env)}: env.unwrapped.state must be {len(grid.axes)} coordinates, one for "
             f"each axis, not {in_short(state)}"
         )
-    if not isinstance(bare.action_space, optional_module("gymnasium.spaces", "gym").Discrete):
-        raise ModelError(f"{_name_of(env)} has no discrete actions: {bare.action_space}")
-    first = int(bare.action_space.start)
+    actions = bare.action_space
+    if not isinstance(actions, optional_module("gymnasium.spaces", "gym").Discrete):
+        raise ModelError(f"{_name_of(env)} has no discrete actions: {actions}")
     kind = np.asarray(state).dtype
 
     def step(point: Coordinates, action: Hashable, noise: Coordinates) -> Any:
@@ -337,7 +328,7 @@ def continuous_from_gymnasium(
 
     return ContinuousModel(
         grid,
-        actions=tuple(range(first, first + int(bare.action_space.n))),
+        actions=tuple(range(int(actions.start), int(actions.start + actions.n))),
         step=step,
         dead_ends={FAILED: 0.0, OUTSIDE: 0.0},
         outside=OUTSIDE,
@@ -611,10 +602,12 @@ class RolloutReport(Facts, ReadOnlyCopies):
 
     def tables(self) -> list[Table]:
         """Return a table of the ends of the episodes and their costs, with intervals."""
+        counts = self.goal, self.failed, self.gave_up, self.truncated
+        ends = dict(zip(_ENDS, counts, strict=True))
         return [
             Table([
                 ("episodes", self.episodes),
-                ("ends", attributes_of(self, *_ENDS)),
+                ("ends", ends),
                 ("goal probability", self.goal_probability),
                 ("failure probability", self.failure_probability),
                 ("cost given success", self.conditional_cost),
@@ -686,14 +679,15 @@ def rollout(
         )
     costs = np.array([one.cost for one in played if one.end == "goal"])
     # points of a cell may lead where the model's outcomes do not
-    taken = None if isinstance(model, GridSSP) else pairs_taken(lottery, model)
-    dearest, _ = greatest_total(model, min(most, limit or most), taken)
+    taken = None if isinstance(model, GridSSP) else simulation.pairs_taken(lottery, model)
+    dearest, _ = simulation.greatest_total(model, min(most, limit or most), taken)
+    proportion = partial(simulation.proportion_estimate, trials=episodes, confidence=confidence)
     return RolloutReport(
         episodes=episodes,
-        **{end: count[end] for end in ("goal", "failed", "gave_up", "truncated")},
-        goal_probability=proportion_estimate(count["goal"], episodes, confidence),
-        failure_probability=proportion_estimate(episodes - count["goal"], episodes, confidence),
-        conditional_cost=mean_estimate(costs, confidence, dearest),
+        **{end: count[end] for end in _ENDS},
+        goal_probability=proportion(count["goal"]),
+        failure_probability=proportion(episodes - count["goal"]),
+        conditional_cost=simulation.mean_estimate(costs, confidence, dearest),
         success_costs=read_only(costs),
         mean_steps=float(np.mean([one.steps for one in played])),
         step_limit=limit,
@@ -716,7 +710,7 @@ class _Player:
         """Play a lottery on an environment's model."""
         self.model, self.lottery, self.rng = cast(EnvironmentSSP, lottery.model), lottery, rng
         self.over = dead_ends(lottery.model) | lottery.model.goal_mask  # [states]
-        self._branches, self.remember = cache(self._asked), cache(self._remembered)
+        self._branches, self.remember = cache(self._branches_of), cache(_memory_after)
         self.ended = cache(lambda member: member.ended)  # [states], whatever came before
 
     def decide(self, member: Policy, state: int, memory: int) -> tuple[int, int]:
@@ -727,7 +721,7 @@ class _Player:
             drawn = min(bisect(cumulative, self.rng.random() * cumulative[-1]), len(pairs) - 1)
         return pairs[drawn], kept[drawn]
 
-    def _asked(
+    def _branches_of(
         self, member: Policy, state: int, memory: int
     ) -> tuple[list[int], list[int], list[float]]:
         """Return a member's decisions, their memories, and cumulative probabilities."""
@@ -740,10 +734,11 @@ class _Player:
             )
         return branches.pair.tolist(), kept.tolist(), np.cumsum(branches.probability).tolist()
 
-    def _remembered(self, member: Policy, *step: float) -> int:
-        """Return the memory of a policy played in an environment after a step."""
-        memory, pair, state, cost = (np.array([part]) for part in step)
-        return int(member.remember(memory, pair, state, cost)[0])
+
+def _memory_after(member: Policy, memory: int, pair: int, state: int, cost: float) -> int:
+    """Return the memory of a policy after a step by a pair to a state."""
+    step = (np.array([part]) for part in (memory, pair, state, cost))
+    return int(member.remember(*step)[0])
 
 
 _SEEN = "observed in the environment: the policy's model may be of another one"

@@ -10,16 +10,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from ssp_lp.errors import Argument, ModelError, attributes_of, optional_module
-from ssp_lp.io.model_files.raw_model import (
-    DEADLOCK,
-    FIRST_COST,
-    INITIAL,
-    FilePath,
-    ModelFile,
-    chosen_reward,
-    finished,
-)
+from ssp_lp.errors import Argument, ModelError, optional_module
+from ssp_lp.io.model_files import raw_model
+from ssp_lp.io.model_files.raw_model import FilePath, ModelFile
 from ssp_lp.io.model_files.umb import UmbArchive
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import DeadEnds
@@ -133,12 +126,12 @@ def _explored_program(
 
     labels = [] if _is_jani(program) else [label.name for label in program.labels]
     listed = f" (labels: {', '.join(map(repr, labels))})" if labels else ""
-    quoted = f'"{goal}"' if goal in (INITIAL, DEADLOCK, *labels) else goal
+    quoted = f'"{goal}"' if goal in (raw_model.INITIAL, raw_model.DEADLOCK, *labels) else goal
     formula = asked(f"{file}, goal {goal!r}{listed}", quoted)
     # given a condition alone, Storm would not explore beyond the states in which it holds
     wanted = [formula, asked(str(file), "true")]
     known = _reward_names(program)
-    place = chosen_reward(file, known, cost)
+    place = raw_model.chosen_reward(file, known, cost)
 
     def built(rewards: list[str] | None) -> Any:
         """Return Storm's sparse model with some rewards; None: all."""
@@ -154,7 +147,9 @@ def _explored_program(
             options.set_build_all_reward_models()
         return _ask_storm(file, stormpy.build_model, program, options=options)
 
-    sparse = _with_most_rewards(built, known, None if cost == FIRST_COST else place, program)
+    sparse = _with_most_rewards(
+        built, known, None if cost == raw_model.FIRST_COST else place, program
+    )
     answer = _model_of_storm(sparse, goal, formula, cost, str(file), dead_ends, program)
     model = answer.model
     names = enumerate(model.states)
@@ -322,7 +317,7 @@ def _model_of_storm(
     states = _state_names(archive, {} if program is None else _bookkeeping(program))
     paid = next((name for name, costs in raw.named_costs.items() if costs is raw.costs), "")
     source = f"{source}, cost {paid!r}" if paid else source
-    return finished(raw._replace(labels=labels, states=states), goal, source, dead_ends)
+    return raw_model.finished(raw._replace(labels=labels, states=states), goal, source, dead_ends)
 
 
 def _state_names(

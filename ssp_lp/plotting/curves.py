@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
@@ -17,12 +17,12 @@ from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.analysis.what_if import WhatIf
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.column import FailureRow
-from ssp_lp.errors import ModelError, SolverError, in_short, optional_module
+from ssp_lp.errors import ModelError, SolverError, optional_module
 from ssp_lp.methods.frontier import Frontier
 from ssp_lp.model.arguments import explained
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.solution import Solution
+from ssp_lp.solution import Solution, as_solved
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,24 +50,27 @@ LOOKS = (
 
 
 def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axes:
-    """Return the axes to draw a curve on: the given ones, or those of a new figure of this size.
+    """Return the given axes, or the axes of a new figure.
+
+    Args:
+        ax: axes of matplotlib; None: a new figure.
+        width: of the new figure, in inches.
+        height: of the new figure, in inches.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
         ModelError: the argument is no axes.
     """
-    if ax is not None:
-        kind: type[Axes] = optional_module("matplotlib.axes", "plot").Axes
-        if not isinstance(ax, kind):
-            raise ModelError(f"ax must be axes of matplotlib, or None for a new figure, not {ax!r}")
-        return ax
-    pyplot = optional_module("matplotlib.pyplot", "plot")
-    axes: Axes = pyplot.subplots(figsize=(width, height), layout="constrained")[1]
-    return axes
+    if ax is None:
+        pyplot = optional_module("matplotlib.pyplot", "plot")
+        ax = pyplot.subplots(figsize=(width, height), layout="constrained")[1]
+    if not isinstance(ax, optional_module("matplotlib.axes", "plot").Axes):
+        raise ModelError(f"ax must be axes of matplotlib, or None for a new figure, not {ax!r}")
+    return cast("Axes", ax)
 
 
 def dress_axes(ax: Axes, x: str, y: str) -> None:
-    """Style the axes of a plotted curve: label both, and remove needless lines."""
+    """Label both axes of a plot, draw a grid, and remove the lines above and on the right."""
     ax.set(xlabel=x, ylabel=y)
     ax.set_axisbelow(True)
     ax.grid(color="#e5e5e5", linewidth=0.6)
@@ -76,12 +79,6 @@ def dress_axes(ax: Axes, x: str, y: str) -> None:
 
 _BAND = "the optimum lies in here"
 _SAMPLES = 400  # budgets in all, divided among the segments
-_VISIBLE = 2e-3  # of the height: a narrower band is drawn as a line
-_TANGENT = 0.4  # of the height: rise and fall of a tangent
-_FINEST = 1e-5  # gap: at most five digits are shown
-_MARGIN = 0.05  # of the region shown, on each side
-_BESIDE = 1.5  # least width of the region shown, in budgets
-_MANY = 40  # turning points, beyond which markers are small
 
 
 @explained
@@ -137,32 +134,36 @@ def plot_frontier(
 
 
 def _show_region(ax: Axes, frontier: Frontier, budget: float | None) -> None:
-    """Limit a plot to the frontier's bend and the budget."""
+    """Set the axes' limits so that they show the frontier's bend and the budget."""
     first, last = frontier.region
     if budget is not None:
-        last = max(last, min(first + _BESIDE * (budget - first), float(frontier.spent[-1])))
+        beyond = first + 1.5 * (budget - first)
+        last = max(last, min(beyond, float(frontier.spent[-1])))
     ends = [high for _, high in map(frontier.bounds_at, (first, last))]
     for (low, high), show in (((first, last), ax.set_xlim), (sorted(ends), ax.set_ylim)):
         if high > low:
-            show(low - _MARGIN * (high - low), high + _MARGIN * (high - low))
+            margin = 0.05 * (high - low)
+            show(low - margin, high + margin)
 
 
 def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> None:
-    """Draw the frontier's curve, its turning points, and the band of its bounds."""
+    """Draw a frontier, its turning points, and the band between its bounds."""
     spent, (budgets, low, high) = frontier.spent, bounds_along(frontier)
-    many = len(spent) > _MANY
-    attained = low if frontier.maximises else high
+    attained, size = low if frontier.maximises else high, 2.5 if len(spent) > 40 else 5
     ax.plot(budgets, attained, color=look.colour, linestyle=look.line, linewidth=2, label=label)
-    ax.plot(spent, frontier.objective, look.marker, color=look.colour,
-            markersize=2.5 if many else 5)  # fmt: skip
-    if (high - low).max() > max(_VISIBLE * np.ptp(high), frontier.tolerance * high.max()):
+    ax.plot(spent, frontier.objective, look.marker, color=look.colour, markersize=size)
+    least = max(2e-3 * np.ptp(high), frontier.tolerance * high.max())  # height of a visible band
+    if (high - low).max() > least:
         band = None if _BAND in ax.get_legend_handles_labels()[1] else _BAND
         ax.fill_between(budgets, low, high, facecolor="none", edgecolor=look.colour,
                         hatch=look.hatch, linewidth=0.6, label=band)  # fmt: skip
 
 
 def bounds_along(frontier: Frontier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return budgets along a frontier's curve, with turning points, and the optimum's bounds."""
+    """Return budgets from end to end of a frontier, and both bounds of the optimum at each.
+
+    Turning points are among the budgets, [budgets] each.
+    """
     spent = frontier.spent
     each = max(_SAMPLES // len(spent), 4)
     segments = zip(spent[:-1].tolist(), spent[1:].tolist(), strict=True)
@@ -173,7 +174,7 @@ def bounds_along(frontier: Frontier) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
-    """Return budgets along a plotted curve, dense on a linear and on a logarithmic axis."""
+    """Return budgets between two others, dense on a linear and on a logarithmic axis."""
     even = np.linspace(begin, end, count)
     if begin == 0.0:
         return even
@@ -181,7 +182,7 @@ def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
 
 
 def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) -> None:
-    """Draw a budget on the frontier's curve with its tangents, or its bounds."""
+    """Mark a budget with the optimum and its tangents or, where unsettled, with the bounds."""
     ax.axvline(budget, color=PALE, linewidth=0.8, linestyle=":", zorder=1)
     try:
         value = frontier.objective_at(budget)
@@ -190,34 +191,26 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
         told = f"{low:.5g} to {high:.5g}"
         if f"{low:.5g}" == f"{high:.5g}":
             told = f"{high:.5g}, to {high - low:.0e}"
-        ax.plot([budget, budget], [low, high], color=look.colour, linewidth=2, zorder=5)
-        ax.plot([budget, budget], [low, high], "_", color=look.colour, markersize=14, zorder=5,
-                markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
+        ax.plot([budget, budget], [low, high], "_-", color=look.colour, linewidth=2, markersize=14,
+                zorder=5, markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
         return
-    digits = int(max(-np.log10(max(frontier.gap, _FINEST)), 2.0))
-    certain = float(f"{value:.{digits}g}")  # the digits that the gap leaves certain
+    digits = int(np.clip(-np.log10(frontier.gap), 2, 5))  # as many as the gap leaves certain
+    certain = float(f"{value:.{digits}g}")
     ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
             label=f"budget {budget:g}: {certain:.5g}")  # fmt: skip
     slopes = frontier.slopes_at(budget)
-    for slope in slopes:
-        _draw_tangent(ax, frontier, (budget, value), slope)
+    for slope in slopes:  # a line through the point, as far as it stays close
+        room = 0.4 * float(np.ptp(frontier.objective)) / abs(slope) if slope else np.inf
+        first, last = frontier.spent[[0, -1]].tolist()
+        along = _budgets_between(max(budget - room, first), min(budget + room, last), _SAMPLES)
+        ax.plot(along, value + slope * (along - budget), color=INK, linestyle="-.", linewidth=1.1,
+                zorder=5)  # fmt: skip
     if slopes:
         by_failure = frontier.ratio and frontier.over == "failure"
         prices = sorted(abs(slope) * (1.0 - budget if by_failure else 1.0) for slope in slopes)
         told = " to ".join(f"{price:.4g}" for price in prices)
         words = f"tangent{'s' * (len(prices) - 1)}: {frontier.over} price {told}"
         ax.plot([], [], color=INK, linestyle="-.", linewidth=1, label=words)
-
-
-def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], slope: float) -> None:
-    """Draw the tangent through a point of the frontier's curve, as far as it stays close."""
-    budget, value = point
-    height, spent = frontier.objective, frontier.spent
-    room = _TANGENT * float(np.ptp(height)) / abs(slope) if slope else np.inf
-    ends = max(budget - room, float(spent[0])), min(budget + room, float(spent[-1]))
-    along = _budgets_between(*ends, _SAMPLES)
-    height = value + slope * (along - budget)
-    ax.plot(along, height, color=INK, linestyle="-.", linewidth=1.1, zorder=5)
 
 
 @dataclass
@@ -237,14 +230,14 @@ class BoundsRecord:
 
 
 @explained
-def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) -> Axes:
+def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = None) -> Axes:
     """Plot the upper and lower bound of the optimum against seconds.
 
-    The upper bound is the objective of the best policy so far; the lower one follows from the
-    pricing calls so far, each repeated at its price (and, if accumulated costs are capped, with the
-    cap of a linear program); at the end, both are those of the solution. With limits in addition to
-    the failure budget, and unless a cost is minimised within a budget, only the last lower bound is
-    known.
+    The upper bound is the objective of the best policy so far. The lower bound follows from the
+    pricing calls so far: each of them is repeated at its price (with the cap of a linear program if
+    accumulated costs are capped). The last point shows the bounds of the solution. Only the last
+    lower bound is known if the problem has limits besides the failure budget, or if it does not
+    minimise a cost within a failure budget.
 
     Args:
         record: record of the reports of ``solve``.
@@ -253,8 +246,8 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
-        ModelError: a quantile or another measure of the law of costs, which is a search over
-            problems, whose reports do not bound the optimum.
+        ModelError: no solution; or the criterion measures the law of costs, as a quantile does: it
+            is solved as a search over problems, whose reports do not bound the optimum.
 
     Example:
         >>> from ssp_lp import MCMP, SSP, solve
@@ -262,8 +255,7 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
         >>> record = BoundsRecord()
         >>> axes = plot_bounds(record, solve(MCMP(model, "s", 0.1), progress=record))
     """
-    if not isinstance(solution, Solution):
-        raise ModelError(f"plot_bounds takes a solution after its record, not {in_short(solution)}")
+    as_solved(solution, "plot_bounds")
     if solution.problem.semantics.counts_law:
         name = type(solution.problem).__name__
         raise ModelError(f"{name} is solved as a search over problems: no bounds but at its end")
@@ -271,8 +263,12 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
     upper = np.minimum.accumulate([*record.objectives, solution.objective])
     lower = np.maximum.accumulate([*_proved_bounds(record, solution.problem), solution.lower_bound])
     seconds = np.maximum.accumulate([*record.seconds, solution.seconds])
-    _draw_bound(ax, seconds, upper, LOOKS[0], "best policy")
-    _draw_bound(ax, seconds, lower, LOOKS[1], "proved bound")
+    curves = (upper, LOOKS[0], "best policy"), (lower, LOOKS[1], "proved bound")
+    for values, look, words in curves:
+        finite = np.isfinite(values)
+        ax.step(seconds[finite], values[finite], where="post", color=look.colour,
+                linestyle=look.line, marker=look.marker, markersize=5,
+                label=f"{words}: {values[-1]:.8g}")  # fmt: skip
     both = np.isfinite(lower) & np.isfinite(upper)
     ax.fill_between(seconds, lower, upper, where=both.tolist(), step="post", facecolor="none",
                     edgecolor="#bbbbbb", hatch="....", linewidth=0.0)  # fmt: skip
@@ -282,15 +278,8 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
     return ax
 
 
-def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: _Look, words: str) -> None:
-    """Draw the curve of one of the bounds as steps over the seconds."""
-    finite = np.isfinite(values)
-    ax.step(seconds[finite], values[finite], where="post", color=look.colour, linestyle=look.line,
-            marker=look.marker, markersize=5, label=f"{words}: {values[-1]:.8g}")  # fmt: skip
-
-
 def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
-    """Return the lower bounds to plot, proved at the reports' prices; -inf: unknown, [reports]."""
+    """Return the lower bound proved at the price of each report, [reports]; -inf: unknown."""
     budget, semantics = problem.failure_budget, problem.semantics
     if budget is None or problem.several_rows or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)
@@ -387,12 +376,14 @@ def plot_tornado(
         raise ModelError("no number moves the optimum: there is nothing to draw")
     ax = axes_or_new(ax, 7.2, 1.2 + 0.34 * len(drawn))
     places = np.arange(len(drawn))
-    for side, sign, look in (("falls", -1.0, LOOKS[0]), ("rises", 1.0, LOOKS[1])):
-        slopes = [effect.left if sign < 0.0 else effect.right for effect in drawn]
-        moves = [sign * share * e.number.scale for e in drawn]
-        widths = [(slope or 0.0) * move for slope, move in zip(slopes, moves, strict=True)]
-        ax.barh(places, widths, 0.62, facecolor="white", edgecolor=look.colour, hatch=look.hatch,
-                label=f"it {side} by {share:.0%}")  # fmt: skip
+    moves = share * np.array([effect.number.scale for effect in drawn])
+    falls, rises = (
+        ([e.left or 0.0 for e in drawn], -moves),
+        ([e.right or 0.0 for e in drawn], moves),
+    )
+    for words, look, (slopes, move) in (("falls", LOOKS[0], falls), ("rises", LOOKS[1], rises)):
+        ax.barh(places, np.array(slopes) * move, 0.62, facecolor="white", edgecolor=look.colour,
+                hatch=look.hatch, label=f"it {words} by {share:.0%}")  # fmt: skip
     names = [f"{e.number.name} ({e.number.value:g})" if e.number.value is not None
              else e.number.name for e in drawn]  # fmt: skip
     ax.set_yticks(places, names)

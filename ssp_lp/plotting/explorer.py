@@ -28,8 +28,9 @@ from ssp_lp.methods.frontier import Frontier
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import end_marks
+from ssp_lp.plotting import plane
 from ssp_lp.plotting.curves import bounds_along
-from ssp_lp.plotting.plane import Places, Point, cells_of, points_of, squares_of
+from ssp_lp.plotting.plane import Places, Point
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -37,16 +38,8 @@ from ssp_lp.processes.failure_semantics import start_distribution
 LARGEST = 3_000_000
 """Greatest number of bytes of a page: larger ones are slow to open."""
 
-_FEW, _BARS = 12, 60  # of the law of the total cost, least and most
 _UNSEEN = 1e-2  # share of the successes with greater costs than those drawn
-_MOST_DRAWN = 40  # states of a model that is drawn as a graph
-_LONGEST = 300  # steps of a run that are drawn
-_NEVER = 1e-12  # a probability that is the rounding of 0
-_REACH = 0.42  # of a cell's side: length of an arrow
-_BESIDE, _FAN = 0.13, 0.5  # distance of a graph's arrows between two states; of all at most
-_LONG = 14  # characters of a name that is drawn
 _AROUND = 0.7  # beyond the middles of the outermost cells
-_SMALL = 0.36  # side of the square of a graph's state
 _SPREAD = 0.25  # of a cell's side: greatest offset of a run from its middle
 
 
@@ -124,7 +117,7 @@ def explore(
         _check_page_name(path)
     problem = frontier.problem
     policies = [frontier.policy_at(float(spent)) for spent in frontier.spent]
-    data = _numbers(frontier, [evaluate(policy, problem) for policy in policies])
+    data = _numbers(frontier, problem, [evaluate(policy, problem) for policy in policies])
     budgets, low, high = bounds_along(frontier)
     data["curve"] = {
         "budgets": budgets.tolist(),
@@ -153,19 +146,15 @@ def explore(
     return explorer
 
 
-def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any]:
+def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]) -> dict[str, Any]:
     """Return the data of each turning point."""
-    names = list(dict.fromkeys(name for found in evaluations for name in found.ends))
-    names = [
-        name for name in names if any(found.ends.get(name, 0.0) > _NEVER for found in evaluations)
-    ]
+    listed = (entry for found in evaluations for entry in found.ends.items())
+    names = list(dict.fromkeys(name for name, share in listed if share > 1e-12))  # else rounding
     reached = np.array([found.goal_probability for found in evaluations])
     paid = np.array([found.conditional_cost for found in evaluations])
     region, spent = frontier.region, frontier.spent
-    problem = frontier.problem if frontier.over == "failure" else None
-    asked = None if problem is None else problem.failure_budget
-    begin = region[0] + 0.5 * (region[1] - region[0]) if asked is None else asked
-    quantities = evaluations[0].secondary_costs
+    begin = problem.failure_budget if frontier.over == "failure" else None
+    begin = 0.5 * sum(region) if begin is None else begin
     return {
         "over": frontier.over,
         "axis": frontier.axis,
@@ -183,7 +172,8 @@ def _numbers(frontier: Frontier, evaluations: list[Evaluation]) -> dict[str, Any
         "end_names": [name.replace("_", " ") for name in names],
         "ends": [[found.ends.get(name, 0.0) for name in names] for found in evaluations],
         "quantities": {
-            name: [found.secondary_costs[name] for found in evaluations] for name in quantities
+            name: [found.secondary_costs[name] for found in evaluations]
+            for name in evaluations[0].secondary_costs
         },
     }
 
@@ -205,7 +195,8 @@ def _laws(
     if not costs.size:
         return None
     width = float(np.diff(costs).min(initial=np.inf)) if len(costs) > 1 else 1.0
-    width = max(min(width, np.ptp(costs) / _FEW or width), np.ptp(costs) / _BARS)
+    span = float(np.ptp(costs))
+    width = max(min(width, span / 12 or width), span / 60)  # 12 to 60 bars
     edges = np.arange(costs[0] - 0.5 * width, costs[-1] + width, width)
     none = np.zeros(len(edges) - 1)
     mass = [
@@ -238,15 +229,10 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
     """Return the position of each state, nan for none, [states, 2]; None: too large a model."""
     model = problem.model
     if cells is not None:
-        return cells_of(model, cells)
+        return plane.cells_of(model, cells)
     if _are_points(model):
-        return points_of(model.states, lambda state: state if _is_point(state) else None)
-    return _layout(problem) if model.n_states <= _MOST_DRAWN else None
-
-
-def _placed(points: FloatArray) -> BoolArray:
-    """Return a mask of the states with a position, [states]."""
-    return np.asarray(~np.isnan(points).any(axis=1))
+        return plane.points_of(model.states, lambda state: state if _is_point(state) else None)
+    return _layout(problem) if model.n_states <= 40 else None
 
 
 def _layout(problem: Problem) -> FloatArray:
@@ -274,10 +260,8 @@ def _plane(
     is_graph: bool,
 ) -> dict[str, Any]:
     """Return the visits of each place, and the flow along each arrow, at each turning point."""
-    model, known = problem.model, _placed(points)
-    middles, inverse = np.unique(points[known], axis=0, return_inverse=True)
-    place = np.full(model.n_states, -1)
-    place[known] = inverse.reshape(-1)
+    model, (middles, place) = problem.model, plane.distinct_points(points)
+    known = place >= 0
     owner, outcome_pair = segment_ids(model.pair_offsets), segment_ids(model.outcome_offsets)
     source = owner[outcome_pair]
     # in a graph an arrow for each action and successor, otherwise one for each action, as given or
@@ -286,7 +270,7 @@ def _plane(
     if moves is None or is_graph:
         aim = points[model.successors] - points[source]
     else:
-        aim = points_of(model.action_names, moves)[model.pair_action][outcome_pair]
+        aim = plane.points_of(model.action_names, moves)[model.pair_action][outcome_pair]
     aim = np.nan_to_num(aim) * model.probabilities[:, None]
     drawn = np.flatnonzero(place[source] >= 0)
     keys = np.stack([place[source], to, model.pair_action[outcome_pair]], axis=1)
@@ -296,7 +280,7 @@ def _plane(
     for k, policy in enumerate(policies):
         pairs, gave_up = pair_visits(policy, problem)
         of_state = gave_up + np.bincount(owner, pairs, model.n_states)
-        visits[k] = np.bincount(inverse.reshape(-1), of_state[known], len(middles))
+        visits[k] = np.bincount(place[known], of_state[known], len(middles))
         taken = (pairs[outcome_pair] * model.probabilities)[drawn]
         flows[k] = np.bincount(arrow, taken, len(arrows))
     mean = np.zeros((len(arrows), 2))
@@ -304,13 +288,13 @@ def _plane(
     used = (flows.max(axis=0, initial=0.0) > 1e-9) & (np.hypot(*mean.T) > 1e-9)
     mean, arrows = mean[used], arrows[used]
     toward = mean / np.hypot(*mean.T)[:, None]
-    begin, end = middles[arrows[:, 0]], middles[arrows[:, 0]] + _REACH * toward
+    begin, end = middles[arrows[:, 0]], middles[arrows[:, 0]] + 0.42 * toward
     if is_graph:
         # arrows back take the other side; actions between two states are drawn side by side
         _, way, count = np.unique(arrows[:, :2], axis=0, return_inverse=True, return_counts=True)
         way = way.reshape(-1)
         rank = np.arange(len(arrows)) - np.searchsorted(way, way)
-        gap = 0.07 + np.minimum(_BESIDE, _FAN / count[way]) * rank
+        gap = 0.07 + np.minimum(0.13, 0.5 / count[way]) * rank
         aside = gap[:, None] * toward[:, ::-1] * [-1.0, 1.0]
         end = middles[arrows[:, 1]] - 0.2 * toward + aside
         begin = begin + 0.2 * toward + aside
@@ -331,12 +315,12 @@ def _runs(
     """Return sample runs at each turning point, as numbers of states."""
     model, marks = problem.model, end_marks(problem.model)
     words = ["goal", *model.state_labels, "dead-end", "gave up, or goes on"]
-    placed = _placed(points)
+    placed = plane.with_point(points)
 
     def told(path: IntArray) -> dict[str, Any]:
         """Return the data of a run."""
         mark = int(marks[int(path[-1])])
-        steps = path[placed[path]][:_LONGEST]
+        steps = path[placed[path]][:300]  # longer lines hide the plane
         return {"path": steps.tolist(), "goal": mark == 0, "end": words[mark]}
 
     runs = []
@@ -352,17 +336,16 @@ def _ground(
     problem: Problem, points: FloatArray, walls: list[Point], *, is_graph: bool
 ) -> dict[str, Any]:
     """Return the places of goals, dead-ends, walls and the start, and names in a graph."""
-    known = _placed(points)
+    known = plane.with_point(points)
     everything = np.vstack([points[known], *np.array(walls, dtype=float).reshape(-1, 2)])
     limits = [everything.min(axis=0) - _AROUND, everything.max(axis=0) + _AROUND]
-    kinds = zip(("free", "dead", "goal", "start"), squares_of(problem, points), strict=True)
     ground: dict[str, Any] = {
         "limits": np.transpose(limits).tolist(),
-        "squares": {kind: sorted(squares) for kind, squares in kinds} | {"wall": walls},
-        "side": _SMALL if is_graph else 1.0,
+        "squares": plane.squares_of(problem, points, walls),
+        "side": 0.36 if is_graph else 1.0,
     }
     if is_graph:
-        names = [str(state)[:_LONG] for state in problem.model.states]
+        names = [str(state)[:14] for state in problem.model.states]
         ground["names"] = [[names[k], *points[k].tolist()] for k in np.flatnonzero(known).tolist()]
     return ground
 

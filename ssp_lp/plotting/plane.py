@@ -10,14 +10,14 @@ import numpy as np
 
 from ssp_lp.analysis.evaluation import pair_visits
 from ssp_lp.analysis.simulation import simulate
-from ssp_lp.arrays import FloatArray, segment_ids
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
 from ssp_lp.errors import ModelError, check_whole, optional_module
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends, end_marks
 from ssp_lp.plotting.curves import INK, LOOKS, axes_or_new, dress_axes
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.policies.policy import Policy, Randomness, as_lottery, generator_of
+from ssp_lp.policies.policy import Policy, Randomness, generator_of
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
 
@@ -87,17 +87,26 @@ def cells_of(model: SSP, cells: Places) -> FloatArray:
     return points
 
 
+def with_point(points: FloatArray) -> BoolArray:
+    """Return a mask of the states that have a point in the plane, [states]."""
+    return np.asarray(~np.isnan(points).any(axis=1))
+
+
+def distinct_points(points: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the distinct points of states, [cells, 2], and the cell of each state, -1 for none."""
+    known, cell = with_point(points), np.full(len(points), -1)
+    middles, inverse = np.unique(points[known], axis=0, return_inverse=True)
+    cell[known] = inverse.reshape(-1)
+    return middles, cell
+
+
 def size_of(points: FloatArray, walls: Iterable[Point]) -> tuple[float, float]:
-    """Return the width and height in inches of a plane picture of these cells."""
+    """Return the width and height in inches of a plot in the plane with these cells and walls."""
     everything = np.vstack([points, np.array([*walls, (np.nan, np.nan)], dtype=np.float64)])
     extent = np.nanmax(everything, axis=0) - np.nanmin(everything, axis=0) + 2.0 * _MARGIN
-    side = np.clip(_WIDEST / extent.max(), *_SIDES)
+    side = np.clip(6.0 / extent.max(), 0.25, 0.55)  # of a cell, so that a picture fits on a page
     width, height = (side * extent).tolist()
-    return max(width, _NARROWEST), height + _LEGEND
-
-
-_WIDEST, _NARROWEST, _LEGEND = 6.0, 3.2, 1.0  # inches: sides of a picture, size of a legend
-_SIDES = 0.25, 0.55  # inches: of a cell, least and most
+    return max(width, 3.2), height + 1.0  # an inch for the legend
 
 
 def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[Point]) -> None:
@@ -109,86 +118,71 @@ def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[
         points: points of the model's states, nan for those without, [states, 2].
         walls: middles of squares that are no states.
     """
-    patches = optional_module("matplotlib.patches", "plot")
-    free, dead, goals, begin = squares_of(problem, points)
-    kinds = (
-        (free, "", _FREE),
-        (dead, "dead-end", _DEAD_END),
-        (set(walls), "wall", _WALL),
-        (goals, "goal", _GOAL),
-        (begin, "start", _START),
+    patches, kinds = (
+        optional_module("matplotlib.patches", "plot"),
+        squares_of(problem, points, walls),
     )
-    for squares, words, style in kinds:
-        side = _INNER if style is _START else 1.0
-        for x, y in sorted(squares):
-            corner = x - 0.5 * side, y - 0.5 * side
+    for kind, squares in kinds.items():
+        side, words = 0.9 if kind == "start" else 1.0, "" if kind == "free" else kind
+        for x, y in squares:
+            corner, style = (x - 0.5 * side, y - 0.5 * side), _STYLES[kind]
             ax.add_patch(patches.Rectangle(corner, side, side, zorder=2, label=words, **style))
-            words = ""  # one of them is in the legend
-    for x, y in goals:
-        ax.plot([x], [y], "*", color=_GOAL["edgecolor"], markersize=9, zorder=2.5)
-    everything = np.array([square for squares, _, _ in kinds for square in squares])
+            words = ""  # the legend has one entry for each kind
+            if kind == "goal":
+                ax.plot([x], [y], "*", color=style["edgecolor"], markersize=9, zorder=2.5)
+    everything = np.array([square for squares in kinds.values() for square in squares])
     low, high = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
     ax.spines[:].set_visible(False)
 
 
 def squares_of(
-    problem: Problem, points: FloatArray
-) -> tuple[set[Point], set[Point], set[Point], set[Point]]:
-    """Return the middles of free cells, dead-ends, goals, and of cells where episodes may begin.
+    problem: Problem, points: FloatArray, walls: Iterable[Point]
+) -> dict[str, list[Point]]:
+    """Return the middles of free cells, dead-ends, walls, goals and start cells, by their kind.
 
     If several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
     """
     model, goal = problem.model, problem.model.goal_mask
     dead, begin = dead_ends(model) & ~goal, start_distribution(model, problem.start) > 0.0
-    goals, free = _distinct_cells(points[goal]), _distinct_cells(points[~dead & ~goal])
-    lost = _distinct_cells(points[dead]) - free - goals
-    return free - goals, lost, goals, _distinct_cells(points[begin])
+    free, lost, goals, start = (
+        set(map(tuple, points[kind & with_point(points)].tolist()))
+        for kind in (~dead & ~goal, dead, goal, begin)
+    )
+    kinds = free - goals, lost - free - goals, set(map(tuple, walls)), goals, start
+    return {kind: sorted(cells) for kind, cells in zip(_STYLES, kinds, strict=True)}
 
 
-def _distinct_cells(points: FloatArray) -> set[Point]:
-    """Return the distinct points of cells in the plane."""
-    return {(x, y) for x, y in points[~np.isnan(points).any(axis=1)].tolist()}
-
-
-_INNER = 0.9  # side of the square of the start
 _MARGIN = 0.55  # from the middle of a cell at the rim
-_FREE = {"facecolor": "none", "edgecolor": "#d0d0d0", "linewidth": 0.5}
-_DEAD_END = {"facecolor": "#f3d9c9", "edgecolor": "#D55E00", "hatch": "xxxx", "linewidth": 0.6}
-_WALL = {"facecolor": "#595959", "edgecolor": "#595959", "linewidth": 0.0}
-_GOAL = {"facecolor": "#d5efe6", "edgecolor": "#009E73", "linewidth": 1.8}
-_START = {"facecolor": "none", "edgecolor": INK, "linewidth": 1.8}
-
-
-_ENTRY = 1.1  # inches: width of an entry of a legend
-_BELOW_TICKS = 0.12  # of the height: room for ticks and their label
+_STYLES = {
+    "free": {"facecolor": "none", "edgecolor": "#d0d0d0", "linewidth": 0.5},
+    "dead-end": {"facecolor": "#f3d9c9", "edgecolor": "#D55E00", "hatch": "xxxx", "linewidth": 0.6},
+    "wall": {"facecolor": "#595959", "edgecolor": "#595959", "linewidth": 0.0},
+    "goal": {"facecolor": "#d5efe6", "edgecolor": "#009E73", "linewidth": 1.8},
+    "start": {"facecolor": "none", "edgecolor": INK, "linewidth": 1.8},
+}
+"""Styles of the squares of each kind of cell."""
 
 
 def add_legend(ax: Axes) -> None:
     """Put a legend below the plot and its ticks."""
     if count := len(ax.get_legend_handles_labels()[0]):
-        figure = ax.get_figure(root=True)
-        width = 0.0 if figure is None else ax.get_position().width * figure.get_figwidth()
-        rows = -(-count // max(int(width / _ENTRY), 2))
-        below = _BELOW_TICKS if len(ax.get_xticks()) else 0.01
+        width = ax.bbox.width / ax.figure.dpi  # inches
+        rows = -(-count // max(int(width / 1.1), 2))  # an entry takes about 1.1 inches
+        below = 0.12 if len(ax.get_xticks()) else 0.01  # of the height: room for ticks
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -below), ncols=-(-count // rows),
                   frameon=False, fontsize=8, labelcolor=INK, handlelength=1.6,
                   columnspacing=1.2)  # fmt: skip
 
 
-_SHADES = ("#ffffff", "#6baed6")  # light enough for dark arrows
-_RARE = 0.02  # of a cell's visits: rarer actions have no arrow
 _UNSEEN = 1e-6  # expected visits: a cell with fewer is drawn without
 _LONGEST = 0.46  # of a cell's side, from its middle
 _SHORTEST = 0.75  # of the longest: an arrow for a small share
-_RING = 0.08  # radius of the mark of several actions
-_SCALE = 1.0  # inches, of the scale of shades
 
 
 class _Seen(NamedTuple):
     """Visits and decisions by cell."""
 
-    points: FloatArray  # [states, 2]
     middles: FloatArray  # [cells, 2]
     visits: FloatArray  # [cells]
     shares: FloatArray  # [cells, actions and giving up] of the visits
@@ -234,34 +228,7 @@ def plot_grid_policy(
         >>> problem = MCMP(model, 0, failure_budget=0.1)
         >>> axes = plot_grid_policy(policy, problem, lambda state: (state, 0), {"east": (1, 0)})
     """
-    seen, walls = _visits_on_grid(policy, problem, cells), list(walls)
-    width, height = size_of(seen.points, walls)
-    ax = axes_or_new(ax, width + _SCALE, height)
-    most = float(seen.visits.max(initial=0.0)) if most_visits is None else most_visits
-    _draw_scale([ax], _draw_visited_cells(ax, problem, seen, walls, moves, most))
-    return ax
-
-
-def _draw_visited_cells(
-    ax: Axes, problem: Problem, seen: _Seen, walls: list[Point], moves: Places, most: float
-) -> Any:
-    """Draw a policy's cells in the plane with a legend; return the data of a scale of shades."""
-    draw_ground(ax, problem, seen.points, walls)
-    names = ("collections", "colors", "patches")
-    collections, colors, patches = (optional_module(f"matplotlib.{name}", "plot") for name in names)
-    some = seen.visits > 0.0
-    corners = (seen.middles[some] - 0.5).tolist()
-    shades = collections.PatchCollection(
-        [patches.Rectangle(tuple(corner), 1.0, 1.0) for corner in corners],
-        cmap=colors.LinearSegmentedColormap.from_list("visits", _SHADES),
-        norm=colors.Normalize(0.0, max(most, _UNSEEN)),
-        zorder=1,
-    )
-    shades.set_array(seen.visits[some])
-    ax.add_collection(shades)
-    _draw_decisions(ax, seen, points_of(problem.model.action_names, moves))
-    add_legend(ax)
-    return shades
+    return _plot_policies([policy], problem, cells, moves, [*walls], most_visits, ax)[0]
 
 
 @explained
@@ -286,27 +253,62 @@ def plot_lottery(
         MissingDependencyError: matplotlib is not installed.
         ModelError: as in :func:`plot_grid_policy`.
     """
-    pyplot, count = optional_module("matplotlib.pyplot", "plot"), len(policy.policies)
-    members, walls = [_visits_on_grid(one, problem, cells) for one in policy.policies], list(walls)
-    width, height = size_of(members[0].points, walls)
-    size = (count * width + _SCALE, height)
-    axes = pyplot.subplots(1, count, figsize=size, squeeze=False, layout="constrained")[1][0]
-    most = max(float(seen.visits.max(initial=0.0)) for seen in members)
-    for ax, seen, weight in zip(axes, members, policy.weights.tolist(), strict=True):
-        shades = _draw_visited_cells(ax, problem, seen, walls, moves, most)
+    axes = _plot_policies(policy.policies, problem, cells, moves, [*walls])
+    for ax, weight in zip(axes, policy.weights.tolist(), strict=True):
         ax.set_title(f"with probability {weight:.4g}", fontsize=10)
-    _draw_scale(list(axes), shades)
-    return list(axes)
+    return axes
 
 
-def _visits_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Places) -> _Seen:
-    """Return the visits and decisions of a policy in the plane, by cell."""
-    model, points = problem.model, cells_of(problem.model, cells)
-    pairs, gave_up = pair_visits(as_lottery(policy), problem)
-    placed = ~np.isnan(points).any(axis=1)
-    middles, inverse = np.unique(points[placed], axis=0, return_inverse=True)
-    cell = np.full(model.n_states, len(middles))  # the last: nowhere
-    cell[placed] = inverse.reshape(-1)
+def _plot_policies(
+    policies: Sequence[Policy | MixedPolicy],
+    problem: Problem,
+    cells: Places,
+    moves: Places,
+    walls: list[Point],
+    most: float | None = None,
+    ax: Axes | None = None,
+) -> list[Axes]:
+    """Plot policies in the plane side by side; the arguments are as in :func:`plot_grid_policy`."""
+    names = ("pyplot", "collections", "colors", "patches")
+    pyplot, collections, colors, patches = (
+        optional_module(f"matplotlib.{name}", "plot") for name in names
+    )
+    points, directions = (
+        cells_of(problem.model, cells),
+        points_of(problem.model.action_names, moves),
+    )
+    drawn = [_visits_of_cells(policy, problem, points) for policy in policies]
+    if ax is None:
+        width, height = size_of(points, walls)
+        size = (len(drawn) * width + 1.0, height)  # an inch for the scale of shades
+        figure = pyplot.figure(figsize=size, layout="constrained")
+        axes = list(figure.subplots(1, len(drawn), squeeze=False)[0])
+    else:
+        axes = [axes_or_new(ax)]
+    most = max(seen.visits.max(initial=0.0) for seen in drawn) if most is None else most
+    for ax, seen in zip(axes, drawn, strict=True):
+        draw_ground(ax, problem, points, walls)
+        some = seen.visits > 0.0
+        corners = (seen.middles[some] - 0.5).tolist()
+        shades = collections.PatchCollection(
+            [patches.Rectangle(tuple(corner), 1.0, 1.0) for corner in corners],
+            cmap=colors.LinearSegmentedColormap.from_list("visits", ["white", "#6baed6"]),
+            norm=colors.Normalize(0.0, max(most, _UNSEEN)),
+            zorder=1,
+        )
+        shades.set_array(seen.visits[some])
+        ax.add_collection(shades)
+        _draw_decisions(ax, seen, directions)
+        add_legend(ax)
+    axes[0].figure.colorbar(shades, ax=axes, label="expected visits", shrink=0.7, pad=0.02)
+    return axes
+
+
+def _visits_of_cells(policy: Policy | MixedPolicy, problem: Problem, points: FloatArray) -> _Seen:
+    """Return the visits and decisions of a policy by cell, given the states' points."""
+    model, (middles, cell) = problem.model, distinct_points(points)
+    pairs, gave_up = pair_visits(policy, problem)
+    # the last row, which -1 stands for, collects the states without a point
     flows = np.zeros((len(middles) + 1, len(model.action_names) + 1))
     np.add.at(flows, (cell[segment_ids(model.pair_offsets)], model.pair_action), pairs)
     np.add.at(flows[:, -1], cell, gave_up)
@@ -315,25 +317,21 @@ def _visits_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Place
     shares = np.divide(
         flows[:-1], visits[:, None], where=visits[:, None] > 0.0, out=flows[:-1] * 0.0
     )
-    return _Seen(points, middles, visits, shares)
-
-
-def _draw_scale(axes: list[Axes], shades: Any) -> None:
-    """Draw the scale of the plane's shades."""
-    axes[0].figure.colorbar(shades, ax=axes, label="expected visits", shrink=0.7, pad=0.02)
+    return _Seen(middles, visits, shares)
 
 
 def _draw_decisions(ax: Axes, seen: _Seen, directions: FloatArray) -> None:
     """Draw decisions in the plane: arrows, dots, crosses and rings."""
     length = np.hypot(directions[:, 0], directions[:, 1])
     still = ~(length > 0.0)
-    taken = seen.shares >= _RARE
+    taken = seen.shares >= 0.02  # rarer actions have no arrow
     several = taken.sum(axis=1) > 1
     cell, action = np.nonzero(taken[:, :-1] & ~still)
     toward = directions[action] / length[action, None]
     share = np.where(several[cell], seen.shares[cell, action], 1.0)[:, None]
     reach = _LONGEST * (_SHORTEST + (1.0 - _SHORTEST) * share)
-    begin = np.where(several[cell], _RING, -0.8 * _LONGEST)[:, None]
+    # arrows of several actions begin at the ring around their cell's middle
+    begin = np.where(several[cell], 0.08, -0.8 * _LONGEST)[:, None]
     tail, step = seen.middles[cell] + begin * toward, (reach - begin) * toward
     ax.quiver(*tail.T, *step.T, angles="xy", scale_units="xy", scale=1.0, units="xy", width=0.055,
               headwidth=4.5, headlength=4.5, headaxislength=4.0, color=INK, zorder=4)  # fmt: skip
@@ -431,9 +429,9 @@ def plot_episodes(
     played = simulate(policy, problem, episodes=episodes, seed=source, record=episodes).paths
     aside = source.uniform(-_SPREAD, _SPREAD, (episodes, 2))
     fails = (f"fail: {name}" for name in (*model.state_labels, "dead-end"))
-    words = ["reach the goal", *fails]
-    ends = [words[m] if (m := marks[int(p[-1])]) >= 0 else "give up or go on" for p in played]
-    placed = np.asarray(~np.isnan(points).any(axis=1))  # states without a point are left out
+    words = ["reach the goal", *fails, "give up or go on"]  # in the order of marks, then -1
+    ends = [words[marks[path[-1]]] for path in played]
+    placed = with_point(points)
     paths = [points[p[placed[p]]] + shift for p, shift in zip(played, aside, strict=True)]
     draw_ground(ax, problem, points, walls)
     return plot_paths(paths, ends, order=words, ax=ax)

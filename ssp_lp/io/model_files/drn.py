@@ -7,24 +7,15 @@ from array import array
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryFile
 
 import numpy as np
 
 from ssp_lp.arrays import offsets_of
-from ssp_lp.io.model_files.raw_model import (
-    Exported,
-    FilePath,
-    ModelFile,
-    RawModel,
-    TextFile,
-    chosen_reward,
-    decimal_sum,
-    distinct_actions,
-    exported,
-    finished,
-    named_rewards,
-    write_archive,
-)
+from ssp_lp.errors import ModelError
+from ssp_lp.io.model_files import raw_model
+from ssp_lp.io.model_files.raw_model import FilePath, ModelFile, RawModel
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import DeadEnds
@@ -43,6 +34,8 @@ _SECTIONS = {
 """Pattern of the content of each section of the header, and the error otherwise; the content of the
 last four is on a line of its own."""
 
+_LONGEST_LINE = 1 << 24  # characters
+_WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)  # of 64 bits
 _ENTRY = re.compile(r"(state|action)\s+([^\s\[]+)\s*(?:\[([^\]]*)\])?\s*(.*)")
 _LABEL = re.compile(r'"([^"]*)"|(\S+)')
 _NO_NAME = "__NOLABEL__"
@@ -73,13 +66,11 @@ def read_drn(
         ModelError: naming the file and the line, or the state and the action.
         OSError: the file cannot be opened.
     """
-    file = TextFile(path, "//")
-    lines = file.lines()
-    raw = _drn_body(file, lines, _drn_header(file, lines), cost)
-    return finished(raw, goal, file.path, dead_ends)
+    file = _DrnFile(Path(path))
+    return raw_model.finished(_raw_model(file, cost), goal, file.path, dead_ends)
 
 
-def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
+def _sections_of(file: _DrnFile, lines: Iterator[str]) -> dict[str, str]:
     """Return the sections of a DRN file up to the line ``@model``, by name.
 
     Raises:
@@ -110,21 +101,51 @@ def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
 
 
 @dataclass
-class _Entries:
-    """Lines of a DRN file below its header: states and actions in their order, and transitions."""
+class _DrnFile:
+    """A DRN file with its current line, and the entries below its header so far. Mutable."""
 
-    file: TextFile
-    n_rewards: int
-    n_states: int
-    is_action: array[int] = field(default_factory=lambda: array("b"))  # [entries]
+    path: Path
+    number: int = 0  # of the current line
+    text: str = ""  # current line without its comment
+    n_rewards: int = 0
+    n_states: int = 0
+    states_read: int = 0
+    is_rewarded: bool = False
+    is_action: array[int] = field(default_factory=lambda: array("b"))  # [entries] or a state
     n_outcomes: array[int] = field(default_factory=lambda: array("q"))  # [entries]
     rewards: array[float] = field(default_factory=lambda: array("d"))  # [entries, rewards or 1]
     successors: array[int] = field(default_factory=lambda: array("q"))  # [outcomes]
     probabilities: array[float] = field(default_factory=lambda: array("d"))  # [outcomes]
     names: list[str] = field(default_factory=list)  # [actions]
     labels: dict[str, list[int]] = field(default_factory=dict)
-    states_read: int = 0
-    is_rewarded: bool = False
+
+    def lines(self) -> Iterator[str]:
+        """Yield the lines without comments and outer spaces.
+
+        Raises:
+            ModelError: a line that is too long, no UTF-8, or a broken packed file.
+            OSError: the file cannot be opened.
+        """
+        with raw_model.opened_text(self.path) as file:
+            while text := file.readline(_LONGEST_LINE):
+                self.number += 1
+                if len(text) >= _LONGEST_LINE:
+                    raise self.fault("the line is too long for a model")
+                self.text = text.partition("//")[0]
+                yield self.text.strip()
+
+    def fault(self, complaint: str) -> ModelError:
+        """Return an error that names the file and the current line."""
+        return ModelError(f"{self.path}, line {self.number}: {complaint}")
+
+    def _float(self, word: str) -> float:
+        """Return the number or fraction that a word stands for, or raise :class:`ModelError`."""
+        plain = word if word.isascii() and "_" not in word else ""
+        above, slash, below = plain.partition("/")
+        try:
+            return int(above) / int(below) if slash else float(plain)
+        except (ValueError, ArithmeticError) as error:
+            raise self.fault(f"{word[:60]!r} is not a number") from error
 
     def add(self, line: str) -> None:
         """Add a line of a state, an action or a transition.
@@ -134,33 +155,35 @@ class _Entries:
         """
         if line[:1].isdigit():
             if not self.is_action or not self.is_action[-1]:
-                raise self.file.fault("a transition must follow a state or an action")
+                raise self.fault("a transition must follow a state or an action")
             to, _, chance = (part.strip() for part in line.partition(":"))
             if not chance or " " in chance:
-                raise self.file.fault("a transition must be 'successor : probability'")
-            successor = self.file.integer(to)
+                raise self.fault("a transition must be 'successor : probability'")
+            if not _WHOLE.fullmatch(to):
+                raise self.fault(f"{to[:60]!r} is not a whole number")
+            successor = int(to)
             if successor >= self.n_states:
-                raise self.file.fault(f"there is no state {successor}")
+                raise self.fault(f"there is no state {successor}")
             self.n_outcomes[-1] += 1
             self.successors.append(successor)
-            self.probabilities.append(self.file.float(chance))
+            self.probabilities.append(self._float(chance))
         elif (match := _ENTRY.fullmatch(line)) is not None:
             self._add_entry(*match.groups())
         elif line:
-            raise self.file.fault("neither a state nor an action nor a transition")
+            raise self.fault("neither a state nor an action nor a transition")
 
     def _add_entry(self, kind: str, name: str, listed: str | None, rest: str) -> None:
         """Add the line of a state or an action."""
         is_action = kind == "action"
         if is_action and not self.states_read:
-            raise self.file.fault("an action must follow a state")
+            raise self.fault("an action must follow a state")
         if not is_action and name != str(self.states_read):
-            raise self.file.fault(f"expected state {self.states_read}")
+            raise self.fault(f"expected state {self.states_read}")
         words = listed.split(",") if listed and listed.strip() else []
         if words and len(words) != (self.n_rewards or 1):
-            raise self.file.fault(f"{len(words)} rewards for {self.n_rewards} reward models")
+            raise self.fault(f"{len(words)} rewards for {self.n_rewards} reward models")
         self.is_rewarded |= bool(words)
-        paid = [self.file.float(word.strip()) for word in words]
+        paid = [self._float(word.strip()) for word in words]
         self.rewards.extend(paid or [0.0] * max(self.n_rewards, 1))
         self.is_action.append(is_action)
         self.n_outcomes.append(0)
@@ -168,55 +191,55 @@ class _Entries:
             self.names.append("" if name == _NO_NAME else name)
             return
         if rest[:1] in ("{", "!"):
-            raise self.file.fault("observations and exit rates are not supported")
+            raise self.fault("observations and exit rates are not supported")
         labels = [quoted or bare for quoted, bare in _LABEL.findall(rest)]
         if any('"' in label for label in labels):
-            raise self.file.fault("a quotation mark is missing")
+            raise self.fault("a quotation mark is missing")
         for label in dict.fromkeys(labels):
             self.labels.setdefault(label, []).append(self.states_read)
         self.states_read += 1
 
 
-def _drn_body(
-    file: TextFile, lines: Iterator[str], header: dict[str, str], cost: str | None
-) -> RawModel:
-    """Read states, actions and transitions of a DRN file, checked against its header.
+def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
+    """Read the header of a DRN file, then its states, actions and transitions.
 
     Raises:
         ModelError: naming the wrong line, or the missing cost.
     """
+    lines = file.lines()
+    header = _sections_of(file, lines)
     # Storm writes a blank after each name, and one name may be ""
     listed = re.split("[ \t]", header.get("@reward_models", "").removesuffix(" "))
     rewards = [word.strip('"') for word in listed]
     rewards = rewards if rewards.count("") == 1 < len(rewards) else [*filter(None, rewards)]
-    place = chosen_reward(file.path, rewards, cost)
+    place = raw_model.chosen_reward(file.path, rewards, cost)
     n_states, n_choices = int(header["@nr_states"]), int(header.get("@nr_choices", -1))
-    read = _Entries(file, len(rewards), n_states)
+    file.n_rewards, file.n_states = len(rewards), n_states
     for line in lines:
-        read.add(line)
-    if n_states != read.states_read or n_choices not in (-1, len(read.names)):
+        file.add(line)
+    if n_states != file.states_read or n_choices not in (-1, len(file.names)):
         stated = f"{n_states} states" + f" and {n_choices} choices" * (n_choices >= 0)
-        there = f"{read.states_read} and {len(read.names)}"
+        there = f"{file.states_read} and {len(file.names)}"
         raise file.fault(f"the header says {stated}, the file has {there}")
-    is_action = np.array(read.is_action, dtype=np.bool_)
+    is_action = np.array(file.is_action, dtype=np.bool_)
     state = (np.cumsum(~is_action) - 1)[is_action]
-    sizes = np.array(read.n_outcomes)[is_action]
+    sizes = np.array(file.n_outcomes)[is_action]
     counts = np.bincount(state, minlength=n_states)
-    paid = np.reshape(read.rewards, (is_action.size, -1))
+    paid = np.reshape(file.rewards, (is_action.size, -1))
     of_pairs, of_states = paid[is_action].T, paid[~is_action][state].T
-    listed = [decimal_sum(*each) for each in zip(of_pairs, of_states, strict=True)]
-    is_rewarded = read.is_rewarded or place is not None
+    listed = [raw_model.decimal_sum(*each) for each in zip(of_pairs, of_states, strict=True)]
+    is_rewarded = file.is_rewarded or place is not None
     costs = [np.repeat(c, sizes) for c in (listed if is_rewarded else [np.ones(state.size)])]
     offsets = offsets_of(counts)
     return RawModel(
         pair_offsets=offsets,
         outcome_offsets=offsets_of(sizes),
-        successors=np.array(read.successors),
-        probabilities=np.array(read.probabilities),
+        successors=np.array(file.successors),
+        probabilities=np.array(file.probabilities),
         costs=costs[place or 0],
-        named_costs=named_rewards(rewards, costs) if rewards else {},
-        actions=distinct_actions(read.names, offsets),
-        labels={name: np.array(at, dtype=np.int64) for name, at in read.labels.items()},
+        named_costs=raw_model.named_rewards(rewards, costs),
+        actions=raw_model.distinct_actions(file.names, offsets),
+        labels={name: np.array(at, dtype=np.int64) for name, at in file.labels.items()},
     )
 
 
@@ -240,27 +263,32 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     Raises:
         ModelError: the start is not a state, or a label cannot be written.
     """
-    write_archive(path, _drn_text(exported(model, start)))
+    place, lines = Path(path), _drn_lines(raw_model.exported(model, start))
+    if place.suffix not in (".gz", ".xz"):
+        raw_model.write_text(place, lines)
+        return
+    with TemporaryFile() as text:  # an archive states the size before the text
+        text.writelines(line.encode() for line in lines)
+        raw_model.write_tar(place, {place.stem: text}, place.suffix)
 
 
-def _drn_text(process: Exported) -> Iterator[str]:
-    """Yield the lines of a DRN file for a model."""
+def _drn_lines(raw: RawModel) -> Iterator[str]:
+    """Yield the lines of a DRN file for an exported model."""
     marks: dict[int, str] = {}  # text after the number of a state: its labels
-    for name, members in process.labels.items():
+    for name, members in raw.labels.items():
         shown = name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else f'"{name}"'
-        for state in np.asarray(members).tolist():
+        for state in members.tolist():
             marks[state] = f"{marks.get(state, '')} {shown}"
-    n_states, n_pairs = process.pair_offsets.size - 1, len(process.costs)
-    names = " ".join(process.cost_names)
-    yield f"@type: MDP\n@value_type: double\n@parameters\n\n@reward_models\n{names}\n"
-    yield f"@nr_states\n{n_states}\n@nr_choices\n{n_pairs}\n@model\n"
-    ends, pairs = process.outcome_offsets.tolist(), process.pair_offsets.tolist()
-    for state, (first, last) in enumerate(pairwise(pairs)):
+    costs, names = raw_model.costs_of_pairs(raw), raw.actions or ()
+    paid = np.column_stack([*costs.values()]).tolist()
+    yield f"@type: MDP\n@value_type: double\n@parameters\n\n@reward_models\n{' '.join(costs)}\n"
+    yield f"@nr_states\n{raw.pair_offsets.size - 1}\n@nr_choices\n{len(paid)}\n@model\n"
+    ends = raw.outcome_offsets.tolist()
+    for state, (first, last) in enumerate(pairwise(raw.pair_offsets.tolist())):
         yield f"state {state}{marks.get(state, '')}\n"
         for pair in range(first, last):
-            paid = ", ".join(map(repr, process.costs[pair].tolist()))
-            yield f"\taction {process.actions[pair]} [{paid}]\n"
+            yield f"\taction {names[pair]} [{', '.join(map(repr, paid[pair]))}]\n"
             some = slice(ends[pair], ends[pair + 1])
-            moves = process.successors[some].tolist(), process.probabilities[some].tolist()
+            moves = raw.successors[some].tolist(), raw.probabilities[some].tolist()
             for successor, chance in zip(*moves, strict=True):
                 yield f"\t\t{successor} : {chance!r}\n"

@@ -1,7 +1,4 @@
-"""Raw models, as files of other tools contain them, and their conversion to models and back.
-
-Text files have an entry per line, plain or gzip; errors name the file and the line.
-"""
+"""Raw models, as files of other tools contain them, and their conversion to models and back."""
 
 from __future__ import annotations
 
@@ -19,7 +16,6 @@ from fractions import Fraction
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from tempfile import TemporaryFile
 from types import MappingProxyType
 from typing import IO, Any, NamedTuple, TextIO
 
@@ -32,12 +28,8 @@ from ssp_lp.model.ssp import ENDS, DeadEnds
 
 FilePath = str | PathLike[str]
 
-_LONGEST_LINE = 1 << 24
-"""Greatest number of characters of a line in a file that counts as text."""
-
 _GZIP, _XZ, _ZIP = b"\x1f\x8b", b"\xfd7", b"PK"  # the first two bytes of packed files
 _GZIP_LEVEL = 6  # the usual compromise of size and time; 9 takes several times as long
-WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)  # of 64 bits
 
 _BROKEN = (
     UnicodeDecodeError, EOFError, gzip.BadGzipFile, zlib.error, lzma.LZMAError, tarfile.TarError,
@@ -105,69 +97,12 @@ def _check_single(n_files: int, path: Path) -> None:
         raise ModelError(f"{path}: an archive must contain one readable file, not {n_files}")
 
 
-class TextFile:
-    """A text file, plain or gzip, that knows its current line. Mutable."""
-
-    def __init__(self, path: FilePath, comment: str) -> None:
-        """Name a file; ``comment`` begins the rest of a line that is ignored."""
-        self.path, self.number, self.text = Path(path), 0, ""  # the text of the last line
-        self._comment = comment
-
-    def lines(self) -> Iterator[str]:
-        """Yield the lines of a model's text file without comments and outer spaces.
-
-        Raises:
-            ModelError: a line that is too long, no UTF-8, or a broken gzip file.
-            OSError: the file cannot be opened.
-        """
-        with opened_text(self.path) as file:
-            while text := file.readline(_LONGEST_LINE):
-                self.number += 1
-                if len(text) >= _LONGEST_LINE:
-                    raise self.fault("the line is too long for a model")
-                self.text = text.partition(self._comment)[0]
-                yield self.text.strip()
-
-    def fault(self, complaint: str) -> ModelError:
-        """Return the error that names a model's text file and the last line."""
-        return ModelError(f"{self.path}, line {self.number}: {complaint}")
-
-    def integer(self, word: str) -> int:
-        """Return a word of a text file as a whole number of 64 bits, or :class:`ModelError`."""
-        if not WHOLE.fullmatch(word):
-            raise self.fault(f"{word[:60]!r} is not a whole number")
-        return int(word)
-
-    def float(self, word: str) -> float:
-        """Return a word of a model's text file as a number or fraction, or :class:`ModelError`."""
-        plain = word if word.isascii() and "_" not in word else ""
-        above, slash, below = plain.partition("/")
-        try:
-            return int(above) / int(below) if slash else float(plain)
-        except (ValueError, ArithmeticError) as error:
-            raise self.fault(f"{word[:60]!r} is not a number") from error
-
-
 def write_text(path: FilePath, pieces: Iterable[str]) -> None:
     """Write a model's text file piece by piece, packed by gzip if the name ends in .gz."""
     place = Path(path)
     opener: Any = partial(gzip.open, compresslevel=_GZIP_LEVEL) if place.suffix == ".gz" else open
     with opener(place, "wt", encoding="utf-8", newline="\n") as file:
         file.writelines(pieces)
-
-
-def write_archive(path: FilePath, pieces: Iterable[str]) -> None:
-    """Write a model's text file; packed for Storm if the name ends in .gz or .xz.
-
-    The packed file is a tar archive with this one file.
-    """
-    place = Path(path)
-    if place.suffix not in (".gz", ".xz"):
-        write_text(path, pieces)
-        return
-    with TemporaryFile() as text:  # an archive states the size before the text
-        text.writelines(piece.encode() for piece in pieces)
-        write_tar(path, {place.stem: text}, place.suffix)
 
 
 def write_tar(path: FilePath, files: Mapping[str, IO[bytes]], packing: str) -> None:
@@ -214,11 +149,11 @@ def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int
 def named_rewards(names: Sequence[str], costs: Sequence[FloatArray]) -> dict[str, FloatArray]:
     """Return the costs of the reward models by name, if the name belongs to only one of them.
 
-    A reward model without a name is "" among several; if it is the only one it has no name.
+    A reward model without a name is "" among several; if it is the only one it has no name. Without
+    reward models there are no named costs.
     """
-    return {
-        n: c for n, c in zip(names, costs, strict=True) if names.count(n) == 1 and names != [""]
-    }
+    named = zip(names, costs, strict=False)  # the costs of 1 of no reward model have no name
+    return {name: paid for name, paid in named if names.count(name) == 1 and names != [""]}
 
 
 INITIAL, DEADLOCK, PAYING = "init", "deadlock", "paying"
@@ -420,26 +355,13 @@ _OWN_ACTIONS = ("stay", PAY)
 _BAD_LABEL = re.compile(r'["\\\x00-\x1f]|//')
 
 
-class Exported(NamedTuple):
-    """A Markov decision process with costs for each action.
+def exported(model: SSP, start: Hashable) -> RawModel:
+    """Return a model as a raw model for another tool, in which each action has one cost.
 
     Its states are those of the model, then states that pay: an outcome that costs more than the
     cheapest one of its action leads to its successor through a state that pays the rest. Goal
-    states and dead-ends have a loop.
-    """
-
-    cost_names: Sequence[str]  # the model's own first
-    pair_offsets: IntArray  # [states + 1]
-    outcome_offsets: IntArray  # [pairs + 1]
-    successors: IntArray  # [outcomes], rising within each pair
-    probabilities: FloatArray  # [outcomes]
-    costs: FloatArray  # [pairs, costs]
-    actions: Sequence[str]  # [pairs] words, distinct within each state
-    labels: Mapping[str, IntArray]  # label -> states
-
-
-def exported(model: SSP, start: Hashable) -> Exported:
-    """Return a model as a raw model for another tool's file.
+    states and dead-ends have a loop. Names of actions and costs are words, distinct among costs and
+    among the actions of a state; the successors of a pair increase.
 
     Args:
         model: the model.
@@ -469,16 +391,22 @@ def exported(model: SSP, start: Hashable) -> Exported:
     names = [*distinct_words(model.action_names), *_OWN_ACTIONS]
     code[own], code[loops], code[paying] = model.pair_action, len(names) - 2, len(names) - 1
     counts = np.concatenate([np.maximum(np.diff(model.pair_offsets), 1), np.ones_like(paying)])
-    return Exported(
-        cost_names=distinct_words(list(by_name)),
+    paid = costs[pairs[new]].T
+    return RawModel(
         pair_offsets=offsets_of(counts),
         outcome_offsets=offsets_of(np.bincount(pairs[new], minlength=n_pairs)),
         successors=targets[new],
         probabilities=np.add.reduceat(chances[order], np.flatnonzero(new)),
-        costs=costs,
+        costs=paid[0],
+        named_costs=dict(zip(distinct_words(list(by_name)), paid, strict=True)),
         actions=[names[k] for k in code.tolist()],
         labels=_exported_labels(model, start, idle, len(paying)),
     )
+
+
+def costs_of_pairs(raw: RawModel) -> dict[str, FloatArray]:
+    """Return the named costs of each pair of an exported model, [pairs] each."""
+    return {name: costs[raw.outcome_offsets[:-1]] for name, costs in raw.named_costs.items()}
 
 
 def _split_costs(

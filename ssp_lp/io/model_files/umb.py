@@ -17,21 +17,8 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, segment_ids
 from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.raw_model import (
-    INITIAL,
-    FilePath,
-    ModelFile,
-    RawModel,
-    broken_files_named,
-    chosen_reward,
-    decimal_sum,
-    distinct_actions,
-    distinct_words,
-    exported,
-    finished,
-    named_rewards,
-    write_tar,
-)
+from ssp_lp.io.model_files import raw_model
+from ssp_lp.io.model_files.raw_model import FilePath, ModelFile, RawModel
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import DeadEnds
@@ -81,7 +68,7 @@ def read_umb(
     """
     archive = UmbArchive(path)
     raw = archive.raw_model(cost)
-    return finished(raw._replace(states=archive.states()), goal, archive.path, dead_ends)
+    return raw_model.finished(raw._replace(states=archive.states()), goal, archive.path, dead_ends)
 
 
 class UmbArchive:
@@ -93,7 +80,10 @@ class UmbArchive:
     def __init__(self, path: FilePath) -> None:
         """Read the files of an archive; :class:`ModelError` unless it is a supported model."""
         self.path = Path(path)
-        with broken_files_named(self.path, "UMB archive"), tarfile.open(self.path) as archive:
+        with (
+            raw_model.broken_files_named(self.path, "UMB archive"),
+            tarfile.open(self.path) as archive,
+        ):
             members = [member for member in archive if member.isfile()]
             opened = [(each.name, archive.extractfile(each)) for each in members]
             self._files = {name.removeprefix("./"): f.read() for name, f in opened if f is not None}
@@ -133,7 +123,7 @@ class UmbArchive:
             raise self._fault(f"there is no state {successors.max()}")
         rewards = self._annotations("rewards")
         names = [name for name, _, _ in rewards]
-        place = chosen_reward(source or self.path, names, cost)
+        place = raw_model.chosen_reward(source or self.path, names, cost)
         costs = [self._costs(key, each) for _, key, each in rewards]
         costs = costs or [np.ones(self._n_branches)]
         labels = {
@@ -149,9 +139,9 @@ class UmbArchive:
                 "branch-to-probability.bin", self._probability, self._n_branches
             ),
             costs=costs[place or 0],
-            named_costs=named_rewards(names, costs) if names else {},
+            named_costs=raw_model.named_rewards(names, costs),
             actions=self._actions(),
-            labels=labels | {INITIAL: initial},
+            labels=labels | {raw_model.INITIAL: initial},
         )
 
     def states(self) -> Sequence[Hashable] | None:
@@ -217,11 +207,11 @@ class UmbArchive:
             return self._numbers(name, kind, size) if name in self._files else np.zeros(size)
 
         state = segment_ids(self._pairs)
-        of_choice = decimal_sum(
+        of_choice = raw_model.decimal_sum(
             given("choices", self._n_choices), given("states", self._n_states)[state]
         )
         of_branch = given("branches", self._n_branches)
-        return decimal_sum(of_choice[segment_ids(self._outcomes)], of_branch)
+        return raw_model.decimal_sum(of_choice[segment_ids(self._outcomes)], of_branch)
 
     def _actions(self) -> Sequence[str] | None:
         """Return the action names (positions in the state if missing), [pairs]; None: no names."""
@@ -229,14 +219,14 @@ class UmbArchive:
             return None
         text = self._files.get(f"{_ACTIONS}strings.bin", b"")
         ends = self._offsets(f"{_ACTIONS}string-mapping.bin", len(text)).tolist()
-        with broken_files_named(self.path, "UMB archive"):
+        with raw_model.broken_files_named(self.path, "UMB archive"):
             words = [text[a:b].decode() for a, b in pairwise(ends)]
         codes = np.zeros(self._n_choices, dtype=np.int64)
         if f"{_ACTIONS}values.bin" in self._files:
             codes = self._array(f"{_ACTIONS}values.bin", "<u4", self._n_choices).astype(np.int64)
         if codes.max(initial=0) >= len(words):
             raise self._fault(f"there is no action {codes.max()}")
-        return distinct_actions([words[code] for code in codes.tolist()], self._pairs)
+        return raw_model.distinct_actions([words[code] for code in codes.tolist()], self._pairs)
 
     def _read_index(self) -> dict[str, Any]:
         """Return the archive's index.
@@ -331,18 +321,18 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
         ModelError: the start is not a state, or a label cannot be written.
         OSError: the file cannot be written.
     """
-    process = exported(model, start)
-    n_states, n_pairs = process.pair_offsets.size - 1, len(process.costs)
-    actions = list(dict.fromkeys(process.actions))
+    raw = raw_model.exported(model, start)
+    n_states, named = raw.pair_offsets.size - 1, [*map(str, raw.actions or ())]
+    actions = list(dict.fromkeys(named))
     code = {name: k for k, name in enumerate(actions)}
-    aps = {name: members for name, members in process.labels.items() if name != INITIAL}
+    aps = {name: members for name, members in raw.labels.items() if name != raw_model.INITIAL}
     files = {
-        "state-to-choices.bin": _bytes_of(process.pair_offsets, "<u8"),
-        "state-is-initial.bin": _bit_set(process.labels[INITIAL], n_states),
-        "choice-to-branches.bin": _bytes_of(process.outcome_offsets, "<u8"),
-        "branch-to-target.bin": _bytes_of(process.successors, "<u8"),
-        "branch-to-probability.bin": _bytes_of(process.probabilities, "<f8"),
-        f"{_ACTIONS}values.bin": _bytes_of([code[name] for name in process.actions], "<u4"),
+        "state-to-choices.bin": _bytes_of(raw.pair_offsets, "<u8"),
+        "state-is-initial.bin": _bit_set(raw.labels[raw_model.INITIAL], n_states),
+        "choice-to-branches.bin": _bytes_of(raw.outcome_offsets, "<u8"),
+        "branch-to-target.bin": _bytes_of(raw.successors, "<u8"),
+        "branch-to-probability.bin": _bytes_of(raw.probabilities, "<f8"),
+        f"{_ACTIONS}values.bin": _bytes_of([code[name] for name in named], "<u4"),
         f"{_ACTIONS}string-mapping.bin": _bytes_of(
             offsets_of(np.array([*map(len, actions)])), "<u8"
         ),
@@ -352,8 +342,8 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
     for name, key in zip(aps, _identifiers(aps), strict=True):
         annotations["aps"][key] = {"alias": name, "applies-to": ["states"], "type": _TRUTH}
         files[f"annotations/aps/{key}/states/values.bin"] = _bit_set(aps[name], n_states)
-    names = process.cost_names
-    for name, key, costs in zip(names, _identifiers(names), process.costs.T, strict=True):
+    named_costs = raw_model.costs_of_pairs(raw)
+    for (name, costs), key in zip(named_costs.items(), _identifiers(named_costs), strict=True):
         annotations["rewards"][key] = {"alias": name, "applies-to": ["choices"], "type": _REAL}
         files[f"annotations/rewards/{key}/choices/values.bin"] = _bytes_of(costs, "<f8")
     index = {
@@ -365,9 +355,9 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
             "#players": 1,
             "#states": n_states,
             "#initial-states": 1,
-            "#choices": n_pairs,
+            "#choices": len(named),
             "#choice-actions": len(actions),
-            "#branches": process.successors.size,
+            "#branches": raw.successors.size,
             "#branch-actions": 0,
             "#observations": 0,
             "branch-probability-type": _REAL,
@@ -375,7 +365,7 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
         "annotations": annotations,
     }
     every = {_INDEX: json.dumps(index).encode(), **files}
-    write_tar(path, {name: BytesIO(data) for name, data in every.items()}, ".gz")
+    raw_model.write_tar(path, {name: BytesIO(data) for name, data in every.items()}, ".gz")
 
 
 def _bytes_of(values: Any, kind: str) -> bytes:
@@ -392,4 +382,4 @@ def _bit_set(members: IntArray, n_states: int) -> bytes:
 
 def _identifiers(names: Iterable[str]) -> list[str]:
     """Return identifiers of annotations for the names of files in a UMB archive."""
-    return distinct_words([name.lower() for name in names], r"[^0-9a-z_-]+")
+    return raw_model.distinct_words([name.lower() for name in names], r"[^0-9a-z_-]+")
