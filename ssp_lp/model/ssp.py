@@ -212,7 +212,7 @@ class SSP(Graph, ReadOnlyCopies):
         several = isinstance(start, (list, set, frozenset))
         begin = [*cast(Iterable[Any], start)] if several else [start]
         for state in begin:
-            _check_hashable(state, "start")
+            check_hashable(state, "start")
         flat = FlatModel([*dict.fromkeys(begin)], cost)
         for done, state in enumerate(flat.states, start=1):  # it grows during the loop
             reached = is_goal(state)
@@ -308,7 +308,7 @@ class SSP(Graph, ReadOnlyCopies):
         several = isinstance(start, (list, set, frozenset))
         begin = tuple(cast(Iterable[Any], start)) if several else (start,)
         for state in begin:
-            _check_hashable(state, "start")
+            check_hashable(state, "start")
         tests = {name: _test_of(members, name) for name, members in (state_labels or {}).items()}
         is_goal = _test_of(goal, "goal")
         if vectorised and not callable(goal):
@@ -1127,7 +1127,7 @@ def _checked_cells(column: Any, name: str) -> list[Any]:
     for row, cell in enumerate(cells):
         if isinstance(cell, np.generic):
             cell = cells[row] = cell.item()
-        _check_hashable(cell, f"row {row}, column {name!r} of the table")
+        check_hashable(cell, f"row {row}, column {name!r} of the table")
         if cell is None or (cell == cell) is not True:  # not a number, or pandas's NA
             raise ModelError(f"row {row} of the table has nothing in the column {name!r}")
     return cells
@@ -1142,7 +1142,7 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
     """Return an argument's states, rejecting a lone string, which would be its letters."""
     if isinstance(states, (list, tuple)):
         for state in states:
-            _check_hashable(state, name)
+            check_hashable(state, name)
     if isinstance(states, str):
         raise ModelError(f"{name} must be a set of states, such as {{{states!r}}}, not a string")
     if not isinstance(states, Iterable):
@@ -1150,7 +1150,7 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
     return states
 
 
-def _check_hashable(state: Any, where: str) -> None:
+def check_hashable(state: Any, where: str) -> None:
     """Raise :class:`ModelError` for an argument of a model that cannot be a state."""
     try:
         hash(state)
