@@ -338,56 +338,46 @@ def product(
     check_model(model, "product")
     if not isinstance(memory, Memory):
         raise ModelError(f"product takes a Memory after the model, not {memory!r}")
-
     check_whole("state_limit", state_limit)
-    numbers, failing = dict[Hashable, int](), list[bool]()  # memories in the order of finding
+    numbers, failing = dict[Hashable, int](), list[bool]()  # of memories, in the order of finding
     pair_of, names = segment_ids(model.outcome_offsets), model.states
 
-    def number_of(kept: Hashable, pair: int = 0) -> int:
-        """Return the number of a memory, the one after a step of a pair; a new one is appended."""
-        try:
-            number = numbers.get(kept)
-        except TypeError:
-            check_hashable(kept, f"the memory after {model.describe_pair(pair)}")
-            raise
-        if number is None:
-            number = numbers[kept] = len(numbers)
+    def number_of(kept: Hashable) -> int:
+        """Return the number of a memory; a new one is appended."""
+        check_hashable(kept, "the memory of a product")
+        if kept not in numbers:
+            numbers[kept] = len(numbers)
             failing.append(bool(memory.fails(kept)))
-        return number
+        return numbers[kept]
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
         """Return the numbers of the memories after outcomes, [entries]."""
         memories, moved = [*numbers], list[int]()
         for number, k in zip(before.tolist(), outcomes.tolist(), strict=True):
-            pair, to = int(pair_of[k]), names[int(model.successors[k])]
-            step = names[int(model.pair_state[pair])], model.action_of(pair), to
-            kept = memory.update(memories[number], *step, float(model.costs[k]))
-            moved.append(number_of(kept, pair))
+            state, action = names[int(model.pair_state[pair_of[k]])], model.action_of(pair_of[k])
+            step = state, action, names[int(model.successors[k])], float(model.costs[k])
+            moved.append(number_of(memory.update(memories[number], *step)))
         return np.array(moved, dtype=np.int64)
+
+    def fails(states: IntArray, numbers: IntArray) -> BoolArray:
+        """Return whether an episode with a memory has failed, [entries]."""
+        return np.array(failing, dtype=np.bool_)[numbers]
 
     begin = model.states if start is None else no_lone_string(start, "start")
     first = np.array([model.index_of(state, "start") for state in begin], dtype=np.int64)
-    place, number, fields = unfold(
-        model,
-        (first, np.full(len(first), number_of(memory.start))),
-        after,
-        lambda states, numbers: np.array(failing, dtype=np.bool_)[numbers],
-        state_limit,
-    )
-    fails = np.array(failing, dtype=np.bool_)[number]
-    ended = model.goal_mask[place] & ~fails
-    accepted = np.array(
-        [not bad and bool(memory.accepts(m)) for m, bad in zip(numbers, failing, strict=True)]
-    )
-    goal = ended & accepted[number]
+    memories = np.full(len(first), number_of(memory.start))
+    state, number, fields = unfold(model, (first, memories), after, fails, state_limit)
+    failed = fails(state, number)
+    accepted = np.array([memory.accepts(kept) for kept in numbers], dtype=np.bool_)[number]
+    goal = model.goal_mask[state] & ~failed & accepted
     if not goal.any():
-        raise ModelError("no goal that the memory accepts is reached from the start")
-    own = {MEMORY_FAILS: fails, NOT_ACCEPTED: ended & ~goal}
+        raise ModelError("no goal that the memory accepts can be reached from the start")
+    refused = model.goal_mask[state] & ~failed & ~accepted
     return ProductSSP(
         **fields,
-        states=ProductStates(names, tuple(numbers), read_only(place), read_only(number)),
+        states=ProductStates(names, tuple(numbers), read_only(state), read_only(number)),
         goal_mask=read_only(goal),
-        state_labels=labels_in_product(model, place, own),
+        state_labels=labels_in_product(model, state, {MEMORY_FAILS: failed, NOT_ACCEPTED: refused}),
         memory=memory,
     )
 
@@ -422,12 +412,16 @@ def unfold(
     n, counts = model.n_states, np.diff(model.pair_offsets)
     possible = np.flatnonzero(model.probabilities > 0.0)
     offsets = np.searchsorted(possible, model.outcome_offsets)
-    new, n_found, rounds = sorted_unique(begin[1] * n + begin[0]), 0, []
+    new, n_found = sorted_unique(begin[1] * n + begin[0]), 0
+    rounds = list[tuple[IntArray, ...]]()
     places = np.full(max(n, int(new.max(initial=0)) + 1), -1, dtype=np.int32)  # by memory and state
-    while True:
+    while new.size or not rounds:
         check_time()
         places[new] = np.arange(n_found, n_found + new.size)
         n_found += new.size
+        if n_found > state_limit:
+            told = f"more than state_limit={state_limit:,} states are reachable"
+            raise ModelError(f"{told}; raise the limit or bound the memory")
         number, state = np.divmod(new, n)
         actions = np.where(is_over(state, number), 0, counts[state])
         pairs = concatenated_ranges(model.pair_offsets[state], actions)
@@ -442,28 +436,16 @@ def unfold(
             more = np.full(max(most + 1, 2 * places.size) - places.size, -1, dtype=np.int32)
             places = np.concatenate([places, more])
         new = target[places[target] < 0]
-        if not new.size:
-            break
         places[new] = np.arange(new.size)
         new = np.sort(new[places[new] == np.arange(new.size)])  # each of them once
-        if n_found + new.size > state_limit:
-            raise ModelError(
-                f"more than state_limit={state_limit:,} states are reachable; raise the limit or "
-                "bound the memory"
-            )
-    state, number, actions, pairs, ends, outcomes, target = map(
-        np.concatenate, zip(*rounds, strict=True)
-    )
-    return (
-        state,
-        number,
-        copied_parts(model, pairs, outcomes)
-        | {
-            "pair_offsets": read_only(offsets_of(actions)),
-            "outcome_offsets": read_only(offsets_of(ends)),
-            "successors": read_only(places[target]),
-        },
-    )
+    joined = map(np.concatenate, zip(*rounds, strict=True))
+    state, number, actions, pairs, ends, outcomes, target = joined
+    fields = copied_parts(model, pairs, outcomes) | {
+        "pair_offsets": read_only(offsets_of(actions)),
+        "outcome_offsets": read_only(offsets_of(ends)),
+        "successors": read_only(places[target]),
+    }
+    return state, number, fields
 
 
 def labels_in_product(

@@ -333,7 +333,7 @@ IN_PYTHON: list[tuple[Callable[[], Any], str]] = [
     (lambda: asked(limit=0.5), "c"),
     (lambda: trace_frontier(TRIP, over="crash"), "'failure' or the name of a limit"),
     (lambda: simulate(solve(TRIP).policy, MCMP(model(), "depot"), seed=1), "another model"),
-    (lambda: SSP.from_frame({"state": ["a"]}, ("b",)), "the table has no column 'successor'"),
+    (lambda: SSP.from_frame({"state": ["a"]}, ("b",)), "the table has no column 'action'"),
 ]  # fmt: skip
 
 
