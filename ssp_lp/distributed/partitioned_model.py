@@ -27,7 +27,12 @@ from ssp_lp.io.archives import StoredModel
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.model.continuous_model import ContinuousModel
-from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
+from ssp_lp.model.discretise import (
+    MIDPOINTS,
+    Quadrature,
+    discretised_rows,
+    joined_outcomes,
+)
 from ssp_lp.model.state_rows import Rows, StateRows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
 from ssp_lp.problem import compiled_constrained
@@ -156,11 +161,8 @@ class PartitionedModel:
             """Return the rows of cells, and of the ends numbered after them, computed in pieces."""
             begins = [*range(first, end, _PIECE)] or [first]
             made = [discretised_rows(world, points, *own) for own in pairwise([*begins, end])]
-            parts = [(own, np.diff(found.outcome_offsets), *found[1:]) for own, found in made]
-            *arrays, costs = zip(*parts, strict=True)
-            paid = np.concatenate(costs) if np.ndim(costs[0]) else costs[0]
-            pairs, outcomes, successors, probabilities = map(np.concatenate, arrays)
-            return StateRows(pairs, outcomes, successors, probabilities, paid)
+            actions, outcomes = zip(*made, strict=True)
+            return StateRows(np.concatenate(actions), *joined_outcomes(outcomes))
 
         if not isinstance(world, ContinuousModel):
             raise wrong_argument("world", "be a ContinuousModel", world)

@@ -15,6 +15,7 @@ import numpy as np
 
 from ssp_lp.arrays import (
     PROBABILITY_SUM,
+    BoolArray,
     FloatArray,
     IntArray,
     ReadOnlyCopies,
@@ -209,6 +210,20 @@ def posterior_draws(
         replace(model, probabilities=read_only(row / segment_sums(row, offsets)[pair]))
         for row in drawn
     ]
+
+
+def forced(low: FloatArray, high: FloatArray, chosen: BoolArray, offsets: IntArray) -> BoolArray:
+    """Return the boxes in which every distribution has mass on chosen entries, [boxes].
+
+    Args:
+        low: [entries].
+        high: [entries].
+        chosen: [entries].
+        offsets: the box of segment k has the entries ``offsets[k] : offsets[k + 1]``.
+    """
+    mass = segment_sums(np.where(chosen, low, 0.0), offsets)
+    room = segment_sums(np.where(chosen, 0.0, high), offsets)
+    return (mass > 0.0) | (room < 1.0 - FORCED)
 
 
 def greatest_mean(

@@ -175,18 +175,16 @@ class Samples:
 class Outcomes(NamedTuple):
     """The outcomes of some pairs; the successors of a pair are distinct and ascend."""
 
-    outcome_offsets: IntArray  # [pairs + 1]
+    lengths: IntArray  # [pairs] number of outcomes of each
     successors: IntArray  # [outcomes]
     probabilities: FloatArray  # [outcomes]
     costs: FloatArray  # [outcomes], or [] for one number
 
     def rows(self, wanted: IntArray) -> Outcomes:
         """Return the discretised outcomes of the pairs with these positions, in their order."""
-        places, lengths = entries_of(self.outcome_offsets, wanted)
+        places, lengths = entries_of(offsets_of(self.lengths), wanted)
         costs = self.costs[places] if self.costs.ndim else self.costs
-        return Outcomes(
-            offsets_of(lengths), self.successors[places], self.probabilities[places], costs
-        )
+        return Outcomes(lengths, self.successors[places], self.probabilities[places], costs)
 
 
 def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Outcomes:
@@ -222,24 +220,19 @@ def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArr
     elif costs.ndim == 2:
         paid = np.repeat(costs[:, 0], lengths)
     successors = ordered.ravel()[firsts].astype(np.int32)
-    return Outcomes(offsets_of(lengths), successors, mass / share.sum(), paid)
+    return Outcomes(lengths, successors, mass / share.sum(), paid)
 
 
-def _joined(parts: list[Outcomes]) -> Outcomes:
+def joined_outcomes(parts: Sequence[Outcomes]) -> Outcomes:
     """Concatenate outcomes of several blocks of pairs; costs that are all equal stay one number."""
     costs = [rows.costs for rows in parts] or [np.asarray(0.0)]
     if any(each.ndim or each != costs[0] for each in costs):
         costs = [np.broadcast_to(rows.costs, rows.successors.shape) for rows in parts]
     paid = np.concatenate(costs) if costs[0].ndim else costs[0]
-    lengths, successors, chances = (
-        np.concatenate([np.zeros(0, kind), *each])
-        for kind, each in (
-            (np.int64, (np.diff(rows.outcome_offsets) for rows in parts)),
-            (np.int32, (rows.successors for rows in parts)),
-            (np.float64, (rows.probabilities for rows in parts)),
-        )
-    )
-    return Outcomes(offsets_of(lengths), successors, chances, paid)
+    empty = Outcomes(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0), paid)
+    *arrays, _ = zip(empty, *parts, strict=True)
+    lengths, successors, chances = map(np.concatenate, arrays)
+    return Outcomes(lengths, successors, chances, paid)
 
 
 TRIALS: Final = 1 << 19
@@ -281,9 +274,13 @@ def discretise(
         ModelError: the step function returns a value of a wrong form, or leaves the box.
     """
     actions, outcomes = discretised_rows(world, points, 0, world.n_states, progress=progress)
+    lengths, successors, probabilities, costs = outcomes
     model = SSP.from_arrays(
         pair_offsets=offsets_of(actions),
-        **outcomes._asdict(),
+        outcome_offsets=offsets_of(lengths),
+        successors=successors,
+        probabilities=probabilities,
+        costs=costs,
         goal_states=np.array([world.end_state("goal")]),
         state_labels={name: [world.end_state(name)] for name in world.dead_ends},
     )
@@ -341,8 +338,9 @@ def discretised_rows(
     dead_ends = list(world.dead_ends.values())
     for state in ends[ends > goal].tolist():
         cost = np.asarray(float(dead_ends[state - goal - 1]))
-        parts.append(Outcomes(np.array([0, 1]), np.array([state], np.int32), np.ones(1), cost))
-    return np.append(actions, ends > goal), _joined(parts)
+        once = np.ones(1, np.int64)
+        parts.append(Outcomes(once, np.array([state], np.int32), np.ones(1), cost))
+    return np.append(actions, ends > goal), joined_outcomes(parts)
 
 
 def _rows_of_pairs(
@@ -363,52 +361,45 @@ def _rows_of_pairs(
             progress(done, len(distinct))
     if row_of_pair is None:
         return parts
-    return [_repeated_rows(world, trials, _joined(parts), pairs, distinct, row_of_pair)]
-
-
-class _Tried(NamedTuple):
-    """Outcomes of one action's trials."""
-
-    rows: IntArray  # [cells] positions of the pairs
-    states: list[IntArray]  # [trials, cells] each; several where edges are split
-    cost: FloatArray  # [trials or 1, cells or 1]
+    return [_repeated_rows(world, trials, joined_outcomes(parts), pairs, distinct, row_of_pair)]
 
 
 def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Outcomes:
     """Return the outcomes of some discretised pairs, in increasing order."""
     cells, action = np.divmod(pairs, len(world.actions))
-    tried = []
-    for number in np.unique(action).tolist():
-        rows = np.flatnonzero(action == number)
-        point, noise = trials.draw(cells[rows])
-        shape = (*trials.shape, len(rows))
-        taken = take_step_in_world(world, point, number, noise, shape)
-        reached = world.grid.numbers_about(taken.heights)
-        if taken.end.any():
-            ends = taken.end.astype(np.int32) + np.int32(world.grid.n_cells - 1)
-            reached = [np.where(taken.end == 0, cell, ends) for cell in reached]
-        reached = [np.broadcast_to(state, shape).reshape(-1, len(rows)) for state in reached]
-        cost = taken.cost
-        if any(n > 1 for n in cost.shape[:-1]):
-            cost = np.broadcast_to(cost, shape)
-        tried.append(_Tried(rows, reached, cost.reshape(-1, cost.shape[-1])))
-    sides = max(len(part.states) for part in tried)  # 1, 2, 4, ...
-    count = math.prod(trials.shape)
-    states = np.empty((len(pairs), sides, count), dtype=np.int32)
-    for part in tried:
-        for side in range(sides):
-            states[part.rows, side] = part.states[side % len(part.states)].T
-    weights = None if trials.weights is None else np.tile(trials.weights, sides)
+    rows = [np.flatnonzero(action == number) for number in np.unique(action)]
+    made = [_rows_of_action(world, trials, cells[some], int(action[some[0]])) for some in rows]
+    return joined_outcomes(made).rows(np.argsort(np.concatenate(rows)))
 
-    # costs: a number, [pairs, 1], or [pairs, trials] if they differ
-    costs = np.asarray(tried[0].cost.flat[0])
-    if any(part.cost.size > 1 or part.cost.flat[0] != costs for part in tried):
-        width = max(len(part.cost) for part in tried)
-        costs = np.empty((len(pairs), width))
-        for part in tried:
-            costs[part.rows] = part.cost.T
-        costs = costs if width == 1 else np.tile(costs, sides)
-    return tally_outcomes(states.reshape(len(pairs), -1), weights, costs)
+
+def _rows_of_action(
+    world: ContinuousModel, trials: Trials, cells: IntArray, action: int
+) -> Outcomes:
+    """Return the outcomes of one discretised action in some cells."""
+    point, noise = trials.draw(cells)
+    shape = (*trials.shape, len(cells))
+    taken = take_step_in_world(world, point, action, noise, shape)
+    reached = world.grid.numbers_about(taken.heights)  # several where edges are split
+    if taken.end.any():
+        ends = taken.end.astype(np.int32) + np.int32(world.grid.n_cells - 1)
+        reached = [np.where(taken.end == 0, cell, ends) for cell in reached]
+
+    def by_cell(numbers: Any) -> Any:
+        """Return numbers of each trial as a row for each cell, [cells, trials]."""
+        return np.broadcast_to(numbers, shape).reshape(-1, len(cells)).T
+
+    states = np.empty((len(cells), len(reached), math.prod(trials.shape)), dtype=np.int32)
+    for side, state in enumerate(reached):
+        states[:, side] = by_cell(state)
+    weights = None if trials.weights is None else np.tile(trials.weights, len(reached))
+    costs = taken.cost
+    if costs.size == 1:
+        costs = costs.reshape(())
+    elif costs.size == costs.shape[-1]:  # the same in all trials of a cell
+        costs = costs.reshape(-1, 1)
+    else:
+        costs = np.tile(by_cell(costs), len(reached))
+    return tally_outcomes(states.reshape(len(cells), -1), weights, costs)
 
 
 def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, IntArray | None]:

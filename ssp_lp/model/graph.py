@@ -39,7 +39,6 @@ Fact = TypeVar("Fact")
 _TURNS = 1_000  # of a search, between two checks of the time
 _FAR = np.iinfo(np.int32).max - 1  # distance of what cannot be reached
 _FEW, _FEW_ENTRIES = 32, 128  # states, and their predecessors, that a loop handles faster
-_MANY_OUTCOMES = 1_000 * _FEW_ENTRIES  # from which a short search saves a round of long ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,12 +189,11 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
         The states, goals included, [states]; the pairs that stay among them, [pairs]; and for each
         of the states such a pair that may lead nearer to the goal, -1 elsewhere, [states].
     """
-    hopeless = hopeless_states(model) if model.n_outcomes > _MANY_OUTCOMES else None
-    return surely_ending(model, model.goal_mask, goal_pairs(model), hopeless)
+    return surely_ending(model, model.goal_mask, goal_pairs(model), hopeless_states(model))
 
 
 def surely_ending(
-    model: Graph, ends: BoolArray, leading: BoolArray, hopeless: BoolArray | None = None
+    model: Graph, ends: BoolArray, leading: BoolArray, hopeless: BoolArray
 ) -> tuple[BoolArray, BoolArray, IntArray]:
     """Return the states from which some policy surely ends, as :func:`surely_reaching` does.
 
@@ -203,11 +201,11 @@ def surely_ending(
         model: the graph.
         ends: states in which a run ends, [states].
         leading: pairs that may lead to one of ``ends``, [pairs].
-        hopeless: states known to lead to none of ``ends``, [states]; None: not known.
+        hopeless: states from which no policy reaches one of ``ends``, [states].
     """
     open_pairs = np.ones(len(model.pair_state), dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets) + ends  # so that ``ends`` are never closed
-    lost = open_counts == 0 if hopeless is None else hopeless
+    lost = hopeless
     while True:
         open_pairs &= ~lost[model.pair_state]
         open_counts[lost] = 0

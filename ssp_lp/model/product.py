@@ -26,12 +26,17 @@ from ssp_lp.arrays import (
     offsets_of,
     read_only,
     segment_ids,
+    sorted_unique,
 )
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, wrong_argument
 from ssp_lp.model.arguments import check_fields, explained, explained_class
 from ssp_lp.model.graph import dead_ends, goal_approach
-from ssp_lp.model.ssp import SSP, check_model, no_lone_string
+from ssp_lp.model.ssp import SSP, check_hashable, check_model, no_lone_string
+
+MOST_PLACES: Final = 250_000_000  # states times steps or memories: four bytes each in numbering
+
+_BUILDING = logging.getLogger("ssp_lp.building")
 
 MEMORY_FAILS = "memory fails"
 """Label of states in which the memory fails."""
@@ -334,52 +339,114 @@ def product(
     check_model(model, "product")
     if not isinstance(memory, Memory):
         raise ModelError(f"product takes a Memory after the model, not {memory!r}")
+    check_whole("state_limit", state_limit)
+    numbers, failing = dict[Hashable, int](), list[bool]()  # of memories, in the order of finding
+    pair_of, names = segment_ids(model.outcome_offsets), model.states
 
-    def is_goal(label: Label) -> bool:
-        """Return whether a state is a goal of the original with a memory that accepts it."""
-        state, kept = label
-        at_goal = bool(model.goal_mask[model.index_of(state)])
-        return at_goal and not memory.fails(kept) and bool(memory.accepts(kept))
+    def number_of(kept: Hashable) -> int:
+        """Return the number of a memory; a new one is appended."""
+        check_hashable(kept, "the memory of a product")
+        if kept not in numbers:
+            numbers[kept] = len(numbers)
+            failing.append(bool(memory.fails(kept)))
+        return numbers[kept]
 
-    def successors(label: Label) -> dict[Hashable, list[tuple[float, Label, float]]]:
-        """Return the outcomes of each action of a state, with the original outcome as the cost."""
-        state, kept = label
-        if memory.fails(kept):
-            return {}
-        here, actions = model.index_of(state), {}
-        for pair in model.pairs_of(here):
-            action, ends = model.action_of(pair), list[tuple[float, Label, float]]()
-            for k in range(*model.outcome_offsets[pair : pair + 2].tolist()):
-                if (p := float(model.probabilities[k])) > 0.0:
-                    to, cost = model.states[int(model.successors[k])], float(model.costs[k])
-                    ends.append((p, (to, memory.update(kept, state, action, to, cost)), float(k)))
-            actions[action] = ends
-        return actions
+    def after(before: IntArray, outcomes: IntArray) -> IntArray:
+        """Return the numbers of the memories after outcomes, [entries]."""
+        memories, moved = [*numbers], list[int]()
+        for number, k in zip(before.tolist(), outcomes.tolist(), strict=True):
+            state, action = names[int(model.pair_state[pair_of[k]])], model.action_of(pair_of[k])
+            step = state, action, names[int(model.successors[k])], float(model.costs[k])
+            moved.append(number_of(memory.update(memories[number], *step)))
+        return np.array(moved, dtype=np.int64)
+
+    def fails(states: IntArray, numbers: IntArray) -> BoolArray:
+        """Return whether an episode with a memory has failed, [entries]."""
+        return np.array(failing, dtype=np.bool_)[numbers]
 
     begin = model.states if start is None else no_lone_string(start, "start")
-    plain = SSP.from_successors(
-        [(state, memory.start) for state in begin],
-        successors,
-        is_goal,
-        state_limit=state_limit,
-        treat_actionless_as_dead_ends=True,
+    first = np.array([model.index_of(state, "start") for state in begin], dtype=np.int64)
+    memories = np.full(len(first), number_of(memory.start))
+    state, number, fields = unfold(model, (first, memories), after, fails, state_limit)
+    failed = fails(state, number)
+    accepted = np.array([memory.accepts(kept) for kept in numbers], dtype=np.bool_)[number]
+    goal = model.goal_mask[state] & ~failed & accepted
+    if not goal.any():
+        raise ModelError("no goal that the memory accepts can be reached from the start")
+    refused = model.goal_mask[state] & ~failed & ~accepted
+    return ProductSSP(
+        **fields,
+        states=ProductStates(names, tuple(numbers), read_only(state), read_only(number)),
+        goal_mask=read_only(goal),
+        state_labels=labels_in_product(model, state, {MEMORY_FAILS: failed, NOT_ACCEPTED: refused}),
+        memory=memory,
     )
-    labels = cast("Sequence[Label]", plain.states)
-    memories = {kept: k for k, kept in enumerate(dict.fromkeys(kept for _, kept in labels))}
-    state = np.array([model.index_of(name) for name, _ in labels])
-    number = np.array([memories[kept] for _, kept in labels])
-    fails = np.array([bool(memory.fails(kept)) for kept in memories])[number]
-    refused = model.goal_mask[state] & ~fails & ~plain.goal_mask
-    fields = fields_of(plain, SSP)
-    copied = copied_parts(model, np.zeros(0, dtype=np.int64), plain.costs.astype(np.int64))
-    fields |= {name: copied[name] for name in ("costs", "exact_costs", "named_costs", "original")}
-    fields |= {
-        "states": ProductStates(model.states, tuple(memories), read_only(state), read_only(number)),
-        "state_labels": labels_in_product(
-            model, state, {MEMORY_FAILS: fails, NOT_ACCEPTED: refused}
-        ),
+
+
+def unfold(
+    model: SSP,
+    begin: tuple[IntArray, IntArray],
+    after: Callable[[IntArray, IntArray], IntArray],
+    is_over: Callable[[IntArray, IntArray], BoolArray],
+    state_limit: int = MOST_PLACES,
+) -> tuple[IntArray, IntArray, dict[str, Any]]:
+    """Return the states (state, memory) that episodes may reach, and the fields that follow.
+
+    States are found in rounds, those of a round in the order of memories and then of states.
+
+    Args:
+        model: the model.
+        begin: states in which episodes may begin, and the numbers of their memories.
+        after: numbers of the memories after outcomes, from those before and the outcomes,
+            [entries].
+        is_over: whether episodes end in states with memories, goals or not, [entries]; without
+            it they end where the model has no actions.
+        state_limit: greatest number of states.
+
+    Returns:
+        State of the model and number of the memory of each state, [states] each; and the fields
+        of the product but for ``states``, ``goal_mask`` and ``state_labels``.
+
+    Raises:
+        ModelError: more states than the limit, or than ``MOST_PLACES`` states times memories.
+    """
+    n, counts = model.n_states, np.diff(model.pair_offsets)
+    possible = np.flatnonzero(model.probabilities > 0.0)
+    offsets = np.searchsorted(possible, model.outcome_offsets)
+    new, n_found = sorted_unique(begin[1] * n + begin[0]), 0
+    rounds = list[tuple[IntArray, ...]]()
+    places = np.full(max(n, int(new.max(initial=0)) + 1), -1, dtype=np.int32)  # by memory and state
+    while new.size or not rounds:
+        check_time()
+        places[new] = np.arange(n_found, n_found + new.size)
+        n_found += new.size
+        if n_found > state_limit:
+            told = f"more than state_limit={state_limit:,} states are reachable"
+            raise ModelError(f"{told}; raise the limit or bound the memory")
+        number, state = np.divmod(new, n)
+        actions = np.where(is_over(state, number), 0, counts[state])
+        pairs = concatenated_ranges(model.pair_offsets[state], actions)
+        entries, ends = entries_of(offsets, pairs)
+        outcomes = possible[entries]
+        before = np.repeat(np.repeat(number, actions), ends)
+        target = after(before, outcomes) * n + model.successors[outcomes]
+        rounds.append((state, number, actions, pairs, ends, outcomes, target))
+        if (most := int(target.max(initial=0))) >= MOST_PLACES:
+            raise ModelError(f"{most // n + 1:,} memories on {n:,} states are too many")
+        if most >= places.size:
+            more = np.full(max(most + 1, 2 * places.size) - places.size, -1, dtype=np.int32)
+            places = np.concatenate([places, more])
+        new = target[places[target] < 0]
+        places[new] = np.arange(new.size)
+        new = np.sort(new[places[new] == np.arange(new.size)])  # each of them once
+    joined = map(np.concatenate, zip(*rounds, strict=True))
+    state, number, actions, pairs, ends, outcomes, target = joined
+    fields = copied_parts(model, pairs, outcomes) | {
+        "pair_offsets": read_only(offsets_of(actions)),
+        "outcome_offsets": read_only(offsets_of(ends)),
+        "successors": read_only(places[target]),
     }
-    return ProductSSP(**fields, memory=memory)
+    return state, number, fields
 
 
 def labels_in_product(
@@ -409,10 +476,6 @@ def check_product(model: SSP) -> ProductSSP:
         raise ModelError("the policy's model is not a product: make one by product(model, memory)")
     return model
 
-
-MOST_PLACES: Final = 250_000_000  # states times steps or memories: nine bytes each in numbering
-
-_BUILDING = logging.getLogger("ssp_lp.building")
 
 LATE: Final = "out of time"
 """Memory of an episode that has used up its steps, and label of the states it ends in."""
@@ -510,41 +573,41 @@ def unroll_steps(
         begin: states in which episodes may begin; None: all.
         survive: labels of states in which surviving ends, if having taken all steps is success;
             None: it is not.
+
+    Raises:
+        ModelError: states times steps are too many.
     """
-    steps = int(steps)
-    reached = _reached_within_steps(model, begin, steps)
-    step, state = np.nonzero(reached)
-    position = np.cumsum(reached.ravel()).reshape(reached.shape) - 1
+    steps, acting = int(steps), np.diff(model.pair_offsets) > 0
+    if (steps + 2) * model.n_states > MOST_PLACES:
+        raise ModelError(
+            f"{steps:,} steps on {model.n_states:,} states are too many: take ",
+            Argument("horizon", None),
+            ", or make the model smaller",
+        )
 
-    # pairs and outcomes within the steps: copies of the model's
-    actions = np.where(step < steps, np.diff(model.pair_offsets)[state], 0)
-    pairs = concatenated_ranges(model.pair_offsets[state], actions)
-    check_time()
-    possible = np.flatnonzero(model.probabilities > 0.0)
-    offsets = np.searchsorted(possible, model.outcome_offsets)
-    places, ends = entries_of(offsets, pairs)
-    outcomes = possible[places]
-    check_time()
-    layer = np.repeat(np.repeat(step, actions), ends)
-    successors = position[layer + 1, model.successors[outcomes]]
-    check_time()
+    def after(before: IntArray, outcomes: IntArray) -> IntArray:
+        """Return the numbers of steps after outcomes, [entries]; after the last it is late."""
+        late = (before == steps - 1) & acting[model.successors[outcomes]]
+        return np.asarray(before + 1 + late)
 
-    over = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
-    count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
-    late = dict[str, BoolArray]()
+    first = np.array(range(model.n_states) if begin is None else begin, dtype=np.int64)
+    state, count, fields = unfold(
+        model, (first, np.zeros_like(first)), after, lambda states, counts: counts >= steps
+    )
+    over, late = count > steps, dict[str, BoolArray]()
     if survive is None:  # label states from which the goal is too many steps away
         nearer, needed = goal_approach(model)
         needed = np.where((nearer >= 0) | model.goal_mask, needed, steps + 1)
-        late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - step
+        late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - np.minimum(
+            count, steps
+        )
     lost = np.concatenate([[], *(model.state_labels[name] for name in survive or ())])
     survived = over & ~np.isin(state, lost) & (survive is not None)
+    number = read_only(count, least_integer_type(steps + 1))
     check_time()
     horizon = HorizonSSP(
-        **copied_parts(model, pairs, outcomes),
-        states=ProductStates(model.states, (*range(steps + 1), LATE), read_only(state), count),
-        pair_offsets=read_only(offsets_of(actions)),
-        outcome_offsets=read_only(offsets_of(ends)),
-        successors=read_only(successors, np.int32),
+        **fields,
+        states=ProductStates(model.states, (*range(steps + 1), LATE), read_only(state), number),
         goal_mask=read_only(model.goal_mask[state] | survived),
         state_labels=labels_in_product(model, state, late),
         steps=steps,
@@ -552,26 +615,3 @@ def unroll_steps(
     )
     _BUILDING.info("%r", horizon)
     return horizon
-
-
-def _reached_within_steps(model: SSP, begin: Sequence[int] | None, steps: int) -> BoolArray:
-    """Return the states of the product that an episode may be in by step, [steps + 1, states].
-
-    Raises:
-        ModelError: states times steps are too many.
-    """
-    if (steps + 1) * model.n_states > MOST_PLACES:
-        raise ModelError(
-            f"{steps:,} steps on {model.n_states:,} states are too many: take ",
-            Argument("horizon", None),
-            ", or make the model smaller",
-        )
-    possible = model.probabilities > 0.0
-    source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
-    target = model.successors[possible]
-    reached = np.zeros((steps + 1, model.n_states), dtype=np.bool_)
-    reached[0, slice(None) if begin is None else begin] = True
-    for step in range(steps):
-        check_time()
-        reached[step + 1][target[reached[step][source]]] = True
-    return reached

@@ -210,11 +210,7 @@ class SSP(Graph, ReadOnlyCopies):
         """
         check_whole("state_limit", state_limit)
         is_goal = _test_of(goal, "goal")
-        several = isinstance(start, (list, set, frozenset))
-        begin = [*cast(Iterable[Any], start)] if several else [start]
-        for state in begin:
-            _check_hashable(state, "start")
-        flat = FlatModel([*dict.fromkeys(begin)], cost)
+        flat = FlatModel(_first_states(start), cost)
         for done, state in enumerate(flat.states, start=1):  # it grows during the loop
             reached = is_goal(state)
             flat.add(state, {} if reached else successors(state), goal=reached)
@@ -306,10 +302,7 @@ class SSP(Graph, ReadOnlyCopies):
         """
         if not (is_number(growth) and 1.0 < growth < float("inf")):
             raise wrong_argument("growth", "be a number above 1", growth)
-        several = isinstance(start, (list, set, frozenset))
-        begin = tuple(cast(Iterable[Any], start)) if several else (start,)
-        for state in begin:
-            _check_hashable(state, "start")
+        begin = _first_states(start)
         tests = {name: _test_of(members, name) for name, members in (state_labels or {}).items()}
         is_goal = _test_of(goal, "goal")
         if vectorised and not callable(goal):
@@ -376,26 +369,35 @@ class SSP(Graph, ReadOnlyCopies):
             )
         if not (costs := [cost] if isinstance(cost, str) else [*cost]):
             raise ModelError("cost: name at least one column")
-        before, after, acts, chances, *paid = (
-            _column(table, names) for names in (state, successor, action, probability, *costs)
-        )
-        if len({len(before), len(after), len(acts), len(chances), *map(len, paid)}) > 1:
-            raise ModelError("the columns of the table have different lengths")
+        rows = _rows_of(table, [state, action, successor, probability, *costs])
+        options = {"state_labels": state_labels, "dead_ends": dead_ends, "normalise": normalise}
+        return cls._from_rows(rows, goal, cost, options)
+
+    @classmethod
+    def _from_rows(
+        cls,
+        rows: Iterable[Sequence[Any]],
+        goal: Iterable[Hashable],
+        cost: str | Sequence[str],
+        options: Mapping[str, Any],
+    ) -> SSP:
+        """Build a model from rows (state, action, successor, probability, cost by cost).
+
+        Args:
+            rows: a row for each outcome.
+            goal: the goal states.
+            cost: the name of the cost, or of several.
+            options: further arguments of :meth:`from_transitions`.
+        """
         transitions: dict[Hashable, dict[Hashable, list[tuple[float, Hashable, Costs]]]] = {}
-        for here, name, there, chance, *some in zip(
-            before, acts, after, chances, *paid, strict=True
-        ):
-            outcome = some[0] if isinstance(cost, str) else dict(zip(costs, some, strict=True))
-            rows = transitions.setdefault(here, {}).setdefault(name, [])
-            rows.append((chance, there, outcome))
+        several = not isinstance(cost, str)
+        for here, action, there, chance, *paid in rows:
+            outcome = dict(zip(cost, paid, strict=True)) if several else paid[0]
+            outcomes = transitions.setdefault(here, {}).setdefault(action, [])
+            outcomes.append((chance, there, outcome))
+        own = cost[0] if several else None
         return cls.from_transitions(
-            transitions,
-            goal,
-            cost=None if isinstance(cost, str) else costs[0],
-            state_labels=state_labels,
-            dead_ends=dead_ends,
-            treat_actionless_as_dead_ends=True,
-            normalise=normalise,
+            transitions, goal, cost=own, treat_actionless_as_dead_ends=True, **options
         )
 
     @classmethod
@@ -442,50 +444,38 @@ class SSP(Graph, ReadOnlyCopies):
             >>> model.probabilities.tolist(), model.counts.tolist()
             ([0.9, 0.1], [90.0, 10.0])
         """
-        costs = [cost] if isinstance(cost, str) else list(cost)
-        several, form = not isinstance(cost, str), ["state", "action", "successor", "count", *costs]
+        costs = [cost] if isinstance(cost, str) else [*cost]
+        form = ["state", "action", "successor", "count", *costs]
         needed, goals = ", ".join(form), dict.fromkeys(no_lone_string(goal, "goal"))
+        names: list[str | Sequence[str]] = [state, action, successor, count, *costs]
         if isinstance(table, (Sequence, Iterator)):
-            listed = list(table)
+            listed, names = list(table), [*form]
             for k, row in enumerate(listed):
                 is_row = isinstance(row, (Sequence, np.ndarray)) and not isinstance(row, str)
                 if not is_row or len(row) != len(form):
                     raise ModelError(f"row {k} of the table must be ({needed}), not {row!r}")
-            columns = [*map(_checked_cells, zip(*listed, strict=True), form)]
-        else:
-            columns = [_column(table, name) for name in (state, action, successor, count, *costs)]
-        if len({*map(len, columns)}) > 1:
-            raise ModelError("the columns of the table have different lengths")
-        if not any(columns):
-            raise ModelError("the table has no rows")
+            table = {name: [row[k] for row in listed] for k, name in enumerate(form)}
         tally: dict[Hashable, dict[Hashable, Counter[tuple[Any, ...]]]] = {}
-        for row in zip(*columns, strict=True):
+        for row in _rows_of(table, names):
             here, name, there, number, *paid = row
             is_count = is_number(number) and not isinstance(number, bool)
             if not (is_count and number >= 0 and number == number // 1):
                 raise ModelError(f"row {row!r} of the table, ({needed}): the count "
                                  f"{number!r} is not a whole number >= 0")  # fmt: skip
-            actions = tally.setdefault(here, {})
-            if here not in goals:  # rows of goals are ignored, as in from_transitions
-                actions.setdefault(name, Counter())[there, *paid] += int(number)
-        transitions: dict[Hashable, dict[Hashable, Outcomes]] = {here: {} for here in tally}
-        pairs = [(here, name, seen) for here, acts in tally.items() for name, seen in acts.items()]
-        for here, name, seen in pairs:
-            if not (total := seen.total()):
+            tally.setdefault(here, {}).setdefault(name, Counter())[there, *paid] += int(number)
+        if not tally:
+            raise ModelError("the table has no rows")
+        rows, counts = list[tuple[Any, ...]](), list[int]()
+        for here, name, seen in ((s, a, seen) for s in tally for a, seen in tally[s].items()):
+            total = seen.total()
+            if not total and here not in goals:
                 raise ModelError(f"action {name!r} of state {here!r} has no counts: leave it out")
-            transitions[here][name] = [
-                (n / total, there, dict(zip(costs, paid, strict=True)) if several else paid[0])
-                for (there, *paid), n in seen.items()
+            rows += [
+                (here, name, there, n / max(total, 1), *paid) for (there, *paid), n in seen.items()
             ]
-        model = cls.from_transitions(
-            transitions,
-            goals,
-            cost=costs[0] if several else None,
-            state_labels=state_labels,
-            dead_ends=dead_ends,
-            treat_actionless_as_dead_ends=True,
-        )
-        counts = [n for *_, seen in pairs for n in seen.values()]
+            counts += [] if here in goals else seen.values()  # rows of goals are ignored
+        options = {"state_labels": state_labels, "dead_ends": dead_ends}
+        model = cls._from_rows(rows, goals, cost, options)
         return replace(model, counts=read_only(counts, np.float64))
 
     @classmethod
@@ -600,22 +590,18 @@ class SSP(Graph, ReadOnlyCopies):
             goal_mask=_goal_mask(goal_states, n_states),
             state_labels={},
             exact_costs=dict(exact_costs or {}),
+            named_costs={
+                k: _costs_of_outcomes(c, outcomes) for k, c in (named_costs or {}).items()
+            },
+            parameters=dict(parameters or {}),
         )
         strange = (target < 0) | (target >= n_states)
         _refuse_outcomes(draft, strange, "has a successor that is not a state")
-        _check_numbers(draft, chance, "probability")
-        _check_costs(draft, draft.costs)
-        named = {name: _costs_of_outcomes(c, outcomes) for name, c in (named_costs or {}).items()}
-        for name, costs_of_name in named.items():
-            _check_costs(draft, costs_of_name, name)
-        chance = _with_unit_sums(draft, normalise)
         model = replace(
             draft,
             successors=read_only(target, np.int32),
-            probabilities=chance,
+            probabilities=_checked_probabilities(draft, normalise),
             state_labels=_indexed_labels(draft, state_labels or {}),
-            named_costs=named,
-            parameters=dict(parameters or {}),
         )
         _check_idle_states(model, dead_ends, accept=treat_actionless_as_dead_ends)
         return model
@@ -882,7 +868,7 @@ class ImplicitSSP(SSP):
 
     def __init__(
         self,
-        begin: tuple[Hashable, ...],
+        begin: Sequence[Hashable],
         expand: Callable[[Any], Any],
         is_goal: Callable[[Any], Any],
         labels: Mapping[str, Callable[[Any], bool]],
@@ -1104,35 +1090,53 @@ def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> floa
         raise ModelError(complaint) from error
 
 
-def _column(table: Any, names: str | Sequence[str]) -> list[Any]:
+def _rows_of(table: Any, names: Iterable[str | Sequence[str]]) -> Iterator[tuple[Any, ...]]:
+    """Return the rows of some columns of a table, with a tuple for several columns named together.
+
+    Raises:
+        ModelError: a column does not exist or has another length, or a cell is empty.
+    """
+    columns = [_column(table, name) for name in names]
+    if len({*map(len, columns)}) > 1:
+        raise ModelError("the columns of the table have different lengths")
+    return zip(*columns, strict=True)
+
+
+def _column(table: Any, name: str | Sequence[str]) -> list[Any]:
     """Return a column of a table as Python's own values; of several columns, tuples.
 
     Raises:
         ModelError: the column does not exist, or a cell is empty.
     """
-    if not isinstance(names, str):
-        return list(zip(*(_column(table, name) for name in names), strict=True))
-    known = attributes_of(table, "columns").get("columns", table)
-    if isinstance(known, np.ndarray) or not isinstance(known, Iterable):
+    if not isinstance(name, str):
+        return list(_rows_of(table, name))
+    try:
+        known = [*(table if isinstance(table, Mapping) else table.columns)]
+    except (AttributeError, TypeError) as error:
         raise ModelError(
             f"a table has columns by name, {{'state': [...], ...}}, and is not {in_short(table)}"
-        )
-    if names not in (known := [*known]):
-        nearest = did_you_mean(names, known, "it has")
-        raise ModelError(f"the table has no column {names!r}{nearest}")
-    return _checked_cells(table[names], names)
-
-
-def _checked_cells(column: Any, name: str) -> list[Any]:
-    """Return a column's cells as Python's own values; :class:`ModelError` for an empty cell."""
+        ) from error
+    if name not in known:
+        nearest = did_you_mean(name, known, "it has")
+        raise ModelError(f"the table has no column {name!r}{nearest}")
+    column = table[name]
     cells = column.tolist() if isinstance(column, np.ndarray) else list(column)
     for row, cell in enumerate(cells):
         if isinstance(cell, np.generic):
             cell = cells[row] = cell.item()
-        _check_hashable(cell, f"row {row}, column {name!r} of the table")
+        check_hashable(cell, f"row {row}, column {name!r} of the table")
         if cell is None or (cell == cell) is not True:  # not a number, or pandas's NA
             raise ModelError(f"row {row} of the table has nothing in the column {name!r}")
     return cells
+
+
+def _first_states(start: Hashable | Iterable[Hashable]) -> list[Any]:
+    """Return the distinct states of an argument that is a state, or a list or set of states."""
+    several = isinstance(start, (list, set, frozenset))
+    begin = [*cast(Iterable[Any], start)] if several else [start]
+    for state in begin:
+        check_hashable(state, "start")
+    return [*dict.fromkeys(begin)]
 
 
 def _test_of(members: StateSet, name: str) -> Callable[[Any], Any]:
@@ -1144,7 +1148,7 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
     """Return an argument's states, rejecting a lone string, which would be its letters."""
     if isinstance(states, (list, tuple)):
         for state in states:
-            _check_hashable(state, name)
+            check_hashable(state, name)
     if isinstance(states, str):
         raise ModelError(f"{name} must be a set of states, such as {{{states!r}}}, not a string")
     if not isinstance(states, Iterable):
@@ -1152,7 +1156,7 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
     return states
 
 
-def _check_hashable(state: Any, where: str) -> None:
+def check_hashable(state: Any, where: str) -> None:
     """Raise :class:`ModelError` for an argument of a model that cannot be a state."""
     try:
         hash(state)
@@ -1180,20 +1184,6 @@ def check_offsets(name: str, offsets: IntArray, end: int) -> None:
         raise ModelError(f"{name} decreases at position {int(np.argmax(falls))}")
 
 
-def _check_costs(model: SSP, costs: FloatArray, name: str = "") -> None:
-    """Raise :class:`ModelError`, naming the first outcome at fault, for wrong costs."""
-    paid = costs[:1] if costs.strides == (0,) else costs  # one number for all
-    _check_numbers(model, paid, f"cost {name!r}" if name else "cost", f": {_NO_REWARDS}")
-
-
-def _checked_probabilities(model: SSP) -> FloatArray:
-    """Return a model's probabilities with sums 1; :class:`ModelError` for wrong numbers."""
-    _check_numbers(model, model.probabilities, "probability")
-    for name, paid in model.costs_by_name.items():
-        _check_costs(model, paid, name)
-    return _with_unit_sums(model, False)
-
-
 def _check_numbers(model: SSP, numbers: FloatArray, what: str, remedy: str = "") -> None:
     """Raise :class:`ModelError` for a number of a model's outcome that is not finite and >= 0."""
     _refuse_outcomes(model, np.isnan(numbers), f"has a {what} that is NaN")
@@ -1207,16 +1197,21 @@ def _refuse_outcomes(model: SSP, broken: BoolArray, complaint: str) -> None:
         raise ModelError(f"{model._describe_outcome(int(np.argmax(broken)))} {complaint}")
 
 
-def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
-    """Return a model's probabilities, with rounding of their sums divided out, [outcomes].
+def _checked_probabilities(model: SSP, normalise: bool = False) -> FloatArray:
+    """Check a model's probabilities and costs; return the probabilities with sums 1, [outcomes].
 
     Args:
         model: the model.
-        normalise: divide out deviations up to 1e-5 (single precision) instead of 1e-9.
+        normalise: divide out deviations of the sums up to 1e-5 (single precision), not 1e-9.
 
     Raises:
-        ModelError: a pair without outcomes, or whose probabilities do not sum to one.
+        ModelError: a number that is not finite and >= 0, a pair without outcomes, or one whose
+            probabilities do not sum to one.
     """
+    _check_numbers(model, model.probabilities, "probability")
+    for name, costs in [*model.named_costs.items(), ("", model.costs)]:
+        paid = costs[:1] if costs.strides == (0,) else costs  # one number for all
+        _check_numbers(model, paid, f"cost {name!r}" if name else "cost", f": {_NO_REWARDS}")
     offsets, chances = model.outcome_offsets, model.probabilities
     empty = offsets[1:] == offsets[:-1]
     if empty.any():

@@ -19,22 +19,19 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
-    concatenated_ranges,
     entries_of,
     least_integer_type,
-    offsets_of,
     read_only,
     sorted_unique,
 )
-from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError
 from ssp_lp.model.product import (
     MOST_PLACES,
     NOT_ACCEPTED,
     ProductSSP,
     ProductStates,
-    copied_parts,
     labels_in_product,
+    unfold,
 )
 from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP
@@ -162,44 +159,23 @@ def track(
             f"{automaton.name}: {size:,} values on {n:,} states are too many: lower "
             "the bound, round the amounts to a coarser grid, or make the model smaller"
         )
-    possible = np.flatnonzero(model.probabilities > 0.0)
-    offsets = np.searchsorted(possible, model.outcome_offsets)
-    counts = np.diff(model.pair_offsets)
 
-    def ends(value: IntArray, state: IntArray) -> BoolArray:
+    def after(before: IntArray, outcomes: IntArray) -> IntArray:
+        """Return the values after outcomes, [entries]."""
+        return automaton.moves[before, automaton.letter[outcomes]].astype(np.int64, copy=False)
+
+    def ends(state: IntArray, value: IntArray) -> BoolArray:
         """Return whether a run ends with success, [entries]."""
         return model.goal_mask[state] if succeeds is None else succeeds(state, value)
 
-    def steps(code: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
-        """Return the pairs by state, pairs, outcomes by pair, outcomes and ends of some states."""
-        value, state = np.divmod(code, n)
-        acting = np.where(ends(value, state), 0, counts[state])
-        pairs = concatenated_ranges(model.pair_offsets[state], acting)
-        places, lengths = entries_of(offsets, pairs)
-        outcomes = possible[places]
-        before = np.repeat(np.repeat(value, acting), lengths)
-        after = automaton.moves[before, automaton.letter[outcomes]].astype(np.int64)
-        return acting, pairs, lengths, outcomes, after * n + model.successors[outcomes]
-
-    reached = np.zeros(n * size, dtype=np.bool_)
-    frontier = sorted_unique(automaton.begin[begin].astype(np.int64) * n + begin)
-    while frontier.size:
-        check_time()
-        reached[frontier] = True
-        target = steps(frontier)[-1]
-        frontier = sorted_unique(target[~reached[target]])
-    code = np.flatnonzero(reached)
-    acting, pairs, lengths, outcomes, target = steps(code)
-    value, state = np.divmod(code, n)
-    goal = ends(value, state)
+    first = automaton.begin[begin].astype(np.int64)
+    state, value, fields = unfold(model, (begin, first), after, ends)
+    goal = ends(state, value)
     refused = {NOT_ACCEPTED: model.goal_mask[state] & ~goal} if succeeds is not None else {}
-    number = value.astype(least_integer_type(size))
+    number = read_only(value, least_integer_type(size))
     tracked = TrackedSSP(
-        **copied_parts(model, pairs, outcomes),
-        states=ProductStates(model.states, automaton.words, read_only(state), read_only(number)),
-        pair_offsets=read_only(offsets_of(acting)),
-        outcome_offsets=read_only(offsets_of(lengths)),
-        successors=read_only(np.searchsorted(code, target), np.int32),
+        **fields,
+        states=ProductStates(model.states, automaton.words, read_only(state), number),
         goal_mask=read_only(goal),
         state_labels=labels_in_product(model, state, refused),
         is_hidden=succeeds is None,

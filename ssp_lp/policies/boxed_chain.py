@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from ssp_lp.arrays import IMPROVEMENT, BoolArray, FloatArray, IntArray, segment_ids, segment_sums
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import SolverError
-from ssp_lp.model.boxes import FORCED, Boxes, greatest_mean
+from ssp_lp.model.boxes import Boxes, forced, greatest_mean
 from ssp_lp.model.graph import edges
 from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import Policy
@@ -72,10 +72,8 @@ class BoxedChain:
 
     def _keeping(self, within: BoolArray) -> BoolArray:
         """Return the nodes at which nature can choose moves of a set with certainty, [nodes]."""
-        forced = segment_sums(np.where(within, 0.0, self.low), self.offsets) > 0.0
-        room = segment_sums(np.where(within, self.high, 0.0), self.offsets)
+        leaving = forced(self.low, self.high, ~within, self.offsets)
         keeping = np.ones(self.chain.n_nodes, dtype=np.bool_)
-        leaving = forced | (room < 1.0 - FORCED)
         keeping[self.chain.source[self.offsets[:-1][leaving]]] = False
         return keeping
 

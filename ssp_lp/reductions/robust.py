@@ -32,7 +32,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.deadline import check_time, limited
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
-from ssp_lp.model.boxes import FORCED, Boxes, greatest_mean
+from ssp_lp.model.boxes import FORCED, Boxes, forced, greatest_mean
 from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
 from ssp_lp.policies import DeterministicPolicy, Policy
 from ssp_lp.policies.boxed_chain import MOST_ROUNDS, boxed_chain
@@ -272,10 +272,8 @@ def _losing(boxes: Boxes, ends: BoolArray) -> tuple[IntArray, IntArray, BoolArra
         reached, decision = ends.copy(), np.full(model.n_states, UNDECIDED, dtype=np.int64)
         while True:
             check_time()
-            near = reached[successors]
-            forced = segment_sums(np.where(near, boxes.low, 0.0), offsets) > 0.0
-            forced |= segment_sums(np.where(near, 0.0, boxes.high), offsets) < 1.0 - FORCED
-            pairs = np.flatnonzero(forced & usable & (kept & ~reached)[model.pair_state])
+            near = forced(boxes.low, boxes.high, reached[successors], offsets)
+            pairs = np.flatnonzero(near & usable & (kept & ~reached)[model.pair_state])
             if not pairs.size:
                 break
             decision[model.pair_state[pairs]] = pairs

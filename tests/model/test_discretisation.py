@@ -139,11 +139,9 @@ def in_ranges(world, points, size):
         building.discretised_rows(world, points, k, min(k + size, world.n_states))
         for k in range(0, world.n_states, size)
     ]
-    actions, rows = zip(*parts, strict=True)
-    paid = [np.broadcast_to(one.costs, one.successors.shape) for one in rows]
-    lengths = [np.diff(one.outcome_offsets) for one in rows]
-    successors, chances = ([one[k] for one in rows] for k in (1, 2))
-    return [*map(np.concatenate, (actions, lengths, successors, chances, paid))]
+    actions, outcomes = zip(*parts, strict=True)
+    *arrays, paid = building.joined_outcomes(outcomes)
+    return [np.concatenate(actions), *arrays, np.broadcast_to(paid, arrays[1].shape)]
 
 
 @pytest.mark.parametrize("size", [1, 7, 1000])
