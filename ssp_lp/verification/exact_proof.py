@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from operator import mul
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,7 +29,7 @@ from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
 from ssp_lp.model.graph import Graph, end_components, nearer_pairs
 from ssp_lp.verification.expand import ZERO, Program
-from ssp_lp.verification.prove import EXCESS, Column, Counts, Row
+from ssp_lp.verification.prove import EXCESS, Bounds, Column, Counts, Row
 
 ONE = 10**60
 _LOST = 10**28  # values are lowered by at most the largest value divided by this
@@ -76,14 +76,6 @@ class _Lottery(NamedTuple):
     weights: list[Fraction]  # [members]; empty if no lottery satisfies the rows
     prices: list[Fraction]  # [rows]; if infeasible, every member violates the rows at them
     value: Fraction  # the least objective, or ratio
-
-
-class Proved(NamedTuple):
-    """The proof of a program as lines of a file, and the interval that it proves."""
-
-    lines: list[bytes]
-    lower: Fraction
-    upper: Fraction
 
 
 class Nodes:
@@ -437,13 +429,18 @@ def lower_bound(
     return bound / goal if goal > 0 else None
 
 
-def proof_of(nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]) -> Proved:
-    """Return the best proof of a program: generate columns until both bounds agree.
+def proof_of(
+    nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]
+) -> tuple[list[bytes], Bounds]:
+    """Find the best proof of a program: generate columns until both bounds agree.
 
     Args:
         nodes: nodes of the program.
         first: members of a nearly optimal lottery.
         prices: nearly optimal prices.
+
+    Returns:
+        The lines of the proof in a file, and the interval that it proves.
 
     Raises:
         SolverError: no lottery satisfies the rows.
@@ -492,20 +489,16 @@ def proof_of(nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]) 
     paid = [max(one) for one in zip(most, means[1:], strict=True)]
     lower = lower_bound(program, best[1], best[2][0], paid) or ZERO
     upper = program.objective.constant + means[0]
-    cap, shares = Fraction(program.cap, program.unit), [str(w) for w, _ in drawn]
-    head: dict[str, object] = {
-        "cap": str(cap),
-        "prices": list(map(str, best[1])),
-        "weights": shares,
-    }
+    cap, weights = Fraction(program.cap, program.unit), [str(w) for w, _ in drawn]
+    head: dict[str, Any] = {"cap": str(cap), "prices": [*map(str, best[1])], "weights": weights}
     if ratio:
         lower, upper = _of_few_digits(lower), max(upper, upper / (1 - means[1]))
         head["ratio"] = str(lower)
-    return Proved(_in_lines(head, best[2], [one for _, one in drawn]), lower, upper)
+    return _in_lines(head, best[2], [one for _, one in drawn]), Bounds(lower, upper, {})
 
 
 def _in_lines(
-    head: dict[str, object], values: Mapping[int, int], members: Sequence[Member]
+    head: dict[str, Any], values: Mapping[int, int], members: Sequence[Member]
 ) -> list[bytes]:
     """Return a proof as lines of a file, in the largest unit that divides its numbers."""
     vectors = [values, *(vector for one in members for vector in one.u)]
