@@ -31,7 +31,7 @@ from ssp_lp.accumulated_cost.charges import (
     TotalCostCharge,
     WithinBound,
 )
-from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray
+from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray, IntArray
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
@@ -45,7 +45,7 @@ from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution, as_solved
 from ssp_lp.verification import certificate_lines as reading
 from ssp_lp.verification.certificate_lines import NOTHING
-from ssp_lp.verification.exact_proof import Decide, Member, Nodes, Proved, line_of, proof_of
+from ssp_lp.verification.exact_proof import Decide, Member, Nodes, line_of, proof_of
 from ssp_lp.verification.expand import Program
 from ssp_lp.verification.prove import Bounds, RefusedError, number
 
@@ -476,15 +476,14 @@ def certificate_of(solution: Solution) -> list[bytes]:
     lines = [*statement.lines(), line_of({"answer": answer})]
     for step in reading.steps_of(question):
         asked = reading.stated(question, step, answer, done)
-        proved = _best_proof(asked, statement.states, solved, step)
-        done[step] = Bounds(proved.lower, proved.upper, {})
-        lines += proved.lines
+        proof, done[step] = _best_proof(asked, statement.states, solved, step)
+        lines += proof
     return lines
 
 
 def _best_proof(
     asked: dict[str, Any], states: Sequence[bytes], solved: Solution, step: str
-) -> Proved:
+) -> tuple[list[bytes], Bounds]:
     """Return the best proof of a program, doubling the cap until the interval is narrow."""
     cap, widths = _first_cap(asked, solved), [math.inf]
     for _ in range(_CAPS):
@@ -494,10 +493,10 @@ def _best_proof(
             policy = solved.policy
             first = [nodes.member(_decider(nodes, one, solved)) for one in policy.policies]
             prices = _prices(nodes.program, solved) if step == "main" else prices
-        proved = proof_of(nodes, first, prices)
-        widths.append(float(proved.upper - proved.lower) / (1 + abs(float(proved.upper))))
+        proof, bounds = proof_of(nodes, first, prices)
+        widths.append(float(bounds.upper - bounds.lower) / (1 + abs(float(bounds.upper))))
         if len(widths) == 2 or widths[-1] < widths[-2]:
-            best = proved
+            best = proof, bounds
         if not asked["charge"] or widths[-1] <= _NARROW or widths[-1] > 0.9 * widths[-2]:
             break
         if nodes.size > _MOST_NODES // 2:
@@ -508,13 +507,13 @@ def _best_proof(
 
 def _prices(program: Program, solved: Solution) -> list[Fraction]:
     """Return the solution's prices of rows as first prices; failure's price includes the ratio."""
-    of_failure = solved.failure_price
-    ratio = Fraction(text_of(solved.objective)) * program.question["ratio"]
+    of_failure, asked = solved.failure_price, program.question
     if of_failure is None or not math.isfinite(of_failure):
-        of_failure = _STEEP * (1.0 + abs(solved.objective)) * (program.question["failure"][1] < 1)
+        of_failure = _STEEP * (1.0 + abs(solved.objective)) * (asked["failure"][1] < 1)
     given = [of_failure, *(solved.prices.get(row.name, 0.0) for row in program.rows[1:])]
     prices = [Fraction(text_of(max(price, 0.0))) for price in given]
-    return [prices[0] + ratio, *prices[1:]]
+    prices[0] += Fraction(text_of(solved.objective)) * asked["ratio"]
+    return prices
 
 
 def _first_cap(asked: Mapping[str, Any], solved: Solution) -> Fraction:
@@ -535,37 +534,31 @@ def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
     """Return the function from a node to the column that a policy takes there.
 
     Raises:
-        ModelError: the policy remembers more than totals, draws its actions, or lacks a decision.
+        ModelError: the policy remembers more than totals, or draws its actions.
     """
     model, program = solved.problem.model, nodes.program
-    n_states, offsets = program.question["states"], model.pair_offsets
-    live = np.flatnonzero((np.diff(offsets) > 0) & ~model.goal_mask)
-    if not isinstance(policy, CostAwarePolicy) or not program.steps:
-        branches = policy.branches(live, np.zeros(live.size, dtype=np.int64))
-        if policy.memory_size != 1 or len(branches.situation) != live.size:
-            raise ModelError("no certificate of a policy that remembers or draws its actions")
-        table = dict(zip(live.tolist(), branches.pair.tolist(), strict=True))
-
-    def pair_at(s: int, total: Fraction) -> int:
-        """Return the pair, or a code below 0, of a state at a total."""
-        if not isinstance(policy, CostAwarePolicy) or not program.steps:
-            return int(table.get(s, UNDECIDED))
-        paid = float(total)
-        layer = round(paid / policy.unit) if policy.levels is None else (
-            int(np.abs(policy.levels - paid).argmin()))  # fmt: skip
-        if layer < policy.cap:
-            k = int(policy.decision[layer, s])
-            return k if k < 0 else int(offsets[s]) + k
-        late = (layer if policy.levels is None else paid) >= policy.tail_threshold[s]
-        return int(policy.tails[len(policy.tails) - 1 if late else 0, s])
+    every = [i for block in nodes.blocks for i in block if i]
+    states: IntArray = np.array([nodes.state_of(i) for i in every], dtype=np.int64)
+    totals = np.array([nodes.where.get(i, (0, program.cap))[1] / program.unit for i in every])
+    if isinstance(model, HorizonSSP) and program.question["horizon"] is not None:
+        steps, states = np.divmod(states, program.question["states"])
+        states = model.table[states, steps]
+    live = (np.diff(model.pair_offsets) > 0) & ~model.goal_mask
+    acting: IntArray = np.flatnonzero(live[states] & (states >= 0))
+    states, memory = states[acting], np.zeros_like(acting)
+    if isinstance(policy, CostAwarePolicy) and program.steps:
+        memory = policy.remember(memory, memory, states, totals[acting])
+    elif policy.memory_size != 1:
+        raise ModelError("no certificate of a policy that remembers more than the cost paid")
+    branches = policy.branches(states, memory)
+    if len(branches.situation) != acting.size:
+        raise ModelError("no certificate of a policy that draws its actions")
+    taken = np.where(branches.pair < 0, UNDECIDED, branches.pair - model.pair_offsets[states])
+    table = dict(zip([every[k] for k in acting.tolist()], taken.tolist(), strict=True))
 
     def decide(i: int) -> int:
         """Return the position of the policy's column among the node's columns."""
-        x, r = nodes.where.get(i, (nodes.state_of(i), program.cap))
-        s, actions = x, nodes.actions[x]
-        if isinstance(model, HorizonSSP) and program.question["horizon"] is not None:
-            s = int(model.at(np.array([x % n_states]), np.array([x // n_states]))[0])
-        position = pair_at(s, Fraction(r, program.unit)) - int(offsets[s])
+        actions, position = nodes.actions[nodes.state_of(i)], table.get(i, UNDECIDED)
         return actions.index(position) if position in actions else nodes.stop(i)
 
     return decide

@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations, permutations
 from math import inf, isnan
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from ssp_lp.analysis.evaluation import evaluate_each
-from ssp_lp.arrays import LEAST_BUDGET, BoolArray
-from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
+from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
+from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray
+from ssp_lp.errors import InfeasibleError, ModelError, SolverError, SSPError, check_between_0_and_1
 from ssp_lp.methods.approaches import refusal
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import drain, hopeless_states
@@ -41,78 +40,67 @@ MOST_COLUMNS = 60_000
 M, which an interior point solves in seconds, and one to two million in case S, many minutes."""
 
 
-@dataclass(frozen=True)
-class Member:
-    """A deterministic member of a method's lottery, evaluated on the model."""
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A solution, and its policy evaluated on the model."""
 
-    weight: float
-    cost: float  # J_obj: case M E[r_tau], case S E[cost; goal]; discounted where the problem is
-    failure: float  # J_cond: the failure that the budget limits
-
-
-@dataclass(frozen=True)
-class MethodResult:
-    """Result of one method in a cross-check; without an answer it has a note and no numbers."""
-
-    name: str
-    note: str = ""
-    failed: bool = False  # whether it ran and gave no answer
-    infeasible: InfeasibleError | None = None  # the error that it raised, if infeasible
-    objective: float | None = None  # c*
-    lower_bound: float | None = None
-    gap: float | None = None
-    adversary_weight: float | None = None  # alpha*
-    failure_price: float | None = None
-    evaluated: float | None = None  # objective of the policy, evaluated on the model
-    failure_probability: float | None = None
-    discounted_failure: float | None = None
-    expected_cost: float | None = None
-    conditional_cost: float | None = None
-    members: tuple[Member, ...] = ()
-    seconds: float | None = None
-
-    @property
-    def answered(self) -> bool:
-        """Whether the method has an answer to compare."""
-        return self.objective is not None
-
-    @property
-    def spent(self) -> float | None:
-        """The failure that the budget limits: discounted under a discount."""
-        surrogate = self.discounted_failure
-        return self.failure_probability if surrogate is None else surrogate
+    solution: Solution
+    evaluation: Evaluation
+    members: FloatArray  # [members, 3] weight, J_obj, and J_cond, the failure that is limited
 
     def overrun(self, budget: float) -> float:
         """Return the excess of the policy's failure over a budget; 0 within rounding of it."""
-        spent = self.spent
-        return 0.0 if spent is None or spent <= budget + LEAST_BUDGET else spent - budget
+        spent = self.evaluation.limited_failure
+        return 0.0 if spent <= budget + LEAST_BUDGET else spent - budget
+
+
+@dataclass(frozen=True, eq=False)
+class MethodResult:
+    """Result of one method in a cross-check: an answer, or a note that says why there is none."""
+
+    name: str
+    answer: Answer | None = None
+    note: str = ""
+    error: SSPError | None = None  # the error in which the method ended
+    seconds: float | None = None
+
+    @property
+    def objective(self) -> float | None:
+        """The optimum c*; None without an answer."""
+        return None if self.answer is None else self.answer.solution.objective
+
+    def row(self) -> tuple[str | float | None, ...]:
+        """Return the method's row of the table, in the order of its columns."""
+        if self.answer is None:
+            return (self.name, *[None] * (len(_COLUMNS) - 2), self.seconds)
+        solution, evaluation = self.answer.solution, self.answer.evaluation
+        return (
+            self.name,
+            solution.objective,
+            solution.lower_bound,
+            solution.gap,
+            solution.adversary_weight,
+            solution.failure_price,
+            evaluation.failure_probability,
+            evaluation.discounted_failure,
+            evaluation.expected_cost,
+            evaluation.conditional_cost,
+            self.seconds,
+        )
 
 
 def result_of(name: str, solution: Solution) -> MethodResult:
     """Evaluate a solution's policy and its members on the model, as a row of the cross-check."""
     evaluation, each = evaluate_each(solution.policy, solution.problem)
     members = []
-    for member, weight in zip(each, solution.policy.weights, strict=True):
+    for member, weight in zip(each, solution.policy.weights.tolist(), strict=True):
         failure, cost = member.limited_failure, member.objective
-        if solution.problem.ratio:
+        if solution.problem.ratio:  # J_obj is E[cost; goal]
             cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
-        members.append(Member(float(weight), cost, failure))
-    return MethodResult(
-        name=name,
-        note="; ".join(part for part in (solution.note, solution.run.program) if part),
-        objective=solution.objective,
-        lower_bound=solution.lower_bound,
-        gap=solution.gap,
-        adversary_weight=solution.adversary_weight,
-        failure_price=solution.failure_price,
-        evaluated=evaluation.objective,
-        failure_probability=evaluation.failure_probability,
-        discounted_failure=evaluation.discounted_failure,
-        expected_cost=evaluation.expected_cost,
-        conditional_cost=evaluation.conditional_cost,
-        members=tuple(members),
-        seconds=solution.seconds,
-    )
+        members.append((weight, cost, failure))
+    note = "; ".join(part for part in (solution.note, solution.run.program) if part)
+    answer = Answer(solution, evaluation, np.array(members))
+    return MethodResult(name, answer, note, seconds=solution.seconds)
 
 
 def result_by(
@@ -140,15 +128,13 @@ def result_by(
         return MethodResult(name, note=f"not run: {reason}")
     began = time.perf_counter()
     try:
-        solution = solve(problem, method, time_limit=time_limit)
+        result = result_of(name, solve(problem, method, time_limit=time_limit))
     except InfeasibleError as error:
-        result = MethodResult(name, note=f"infeasible: {error}", failed=True, infeasible=error)
+        result = MethodResult(name, note=f"infeasible: {error}", error=error)
     except (SolverError, ModelError) as error:
         if isinstance(error, ModelError) and name != "game":
             raise  # the model is at fault, not the size of this method's table
-        result = MethodResult(name, note=f"failed: {error}", failed=True)
-    else:
-        result = result_of(name, solution)
+        result = MethodResult(name, note=f"failed: {error}", error=error)
     return replace(result, seconds=time.perf_counter() - began)
 
 
@@ -166,20 +152,10 @@ _SAME = 1e-9  # relative distance of two charges: the library's is a sum of roun
 
 _LOG = logging.getLogger("ssp_lp.comparison")
 
-_COLUMNS = {
-    "objective": "objective",
-    "bound": "lower_bound",
-    "gap": "gap",
-    "alpha": "adversary_weight",
-    "price": "failure_price",
-    "failure": "failure_probability",
-    "discounted": "discounted_failure",
-    "cost": "expected_cost",
-    "given_success": "conditional_cost",
-    "seconds": "seconds",
-}
-"""Columns of the table, and the field of a method's result that each shows."""
-
+_COLUMNS = (
+    "method", "objective", "bound", "gap", "alpha", "price", "failure", "discounted", "cost",
+    "given_success", "seconds",
+)  # fmt: skip
 _DIGITS = {"objective": 10, "bound": 10, "gap": 2, "seconds": 2}
 
 
@@ -230,7 +206,7 @@ class CrossCheck(Report):
     @property
     def failed(self) -> tuple[str, ...]:
         """Names of the methods that ran and gave no answer."""
-        return tuple(method.name for method in self.methods if method.failed)
+        return tuple(method.name for method in self.methods if method.error is not None)
 
     def __repr__(self) -> str:
         """Return the methods and the verdict in one line."""
@@ -241,19 +217,19 @@ class CrossCheck(Report):
         """Return one table, a row for each method, with policies, remarks and verdict as notes."""
         notes = []
         for one in self.methods:
-            lottery = (f"{m.weight:.6f} x ({m.cost:.9g}, {m.failure:.6g})" for m in one.members)
-            notes += [f"{one.name}: {' + '.join(lottery)}"] * bool(one.members)
+            if one.answer is not None:
+                lottery = (f"{w:.6f} x ({c:.9g}, {f:.6g})" for w, c, f in one.answer.members)
+                notes.append(f"{one.name}: {' + '.join(lottery)}")
         notes += [f"{one.name}: {one.note}" for one in self.methods if one.note]
         notes += self.remarks
         if self.reading is not None:
             notes += map(str, (self.reading, *self.reading.faults))
-        parts = attrgetter("name", *_COLUMNS.values())
-        rows = [parts(one) for one in self.methods]
-        return [Table(rows, ("method", *_COLUMNS), "", [*notes, self._verdict()], _DIGITS)]
+        rows = [one.row() for one in self.methods]
+        return [Table(rows, _COLUMNS, "", [*notes, self._verdict()], _DIGITS)]
 
     def _verdict(self) -> str:
         """Return the verdict in one line."""
-        count = sum(method.answered for method in self.methods)
+        count = sum(method.answer is not None for method in self.methods)
         distances = (
             f"c* within {self.objective_distance:.1e}, alpha* within {self.weight_distance:.1e}, "
             f"policies within {self.evaluated_distance:.1e}, budget overrun "
@@ -305,15 +281,12 @@ def cross_check(
     check_problem(problem, "cross_check")
     check_between_0_and_1("tolerance", tolerance)
     check_between_0_and_1("weight_tolerance", weight_tolerance)
-    if problem.semantics.counts_law:
+    asks = problem.requirements
+    if asks.law or asks.several_rows:
         raise ModelError(
-            f"cross_check supports expected costs only, not {type(problem).__name__}: solve it "
-            "with method='lp' and with method='columns', and compare"
-        )
-    if problem.several_rows:
-        raise ModelError(
-            f"cross_check supports the failure budget only, not the limits of this "
-            f"{type(problem).__name__}: solve it with method='lp' and 'columns', and compare"
+            "cross_check supports expected costs with a failure budget alone, not this "
+            f"{type(problem).__name__}: solve it with method='lp' and with method='columns', and "
+            "compare"
         )
     methods = []
     with progress_shown(verbose):
@@ -322,8 +295,8 @@ def cross_check(
             answer = methods[-1].note or f"c* {methods[-1].objective:.9g}"
             _LOG.info("%d of %d: %s, %s", number, len(METHODS), name, answer)
         for method in methods:
-            if method.infeasible is not None and not any(r.answered for r in methods):
-                raise method.infeasible
+            if isinstance(method.error, InfeasibleError) and not any(r.answer for r in methods):
+                raise method.error
         comparison = compare_methods(
             methods, problem, tolerance=tolerance, weight_tolerance=weight_tolerance
         )
@@ -346,57 +319,58 @@ def compare_methods(
     """
     smallest = _NOTHING * float(problem.model.costs.max(initial=0.0))
     budget = 1.0 if problem.failure_budget is None else problem.failure_budget
+    answers = {one.name: one.answer for one in methods if one.answer is not None}
 
-    def distance(one: float | None, other: float | None) -> float:
+    def distance(one: float, other: float) -> float:
         """Return the relative distance of two costs; infinite if one of them is not a number."""
-        if one is None or other is None or isnan(one) or isnan(other):
+        if isnan(one) or isnan(other):
             return inf
         return 0.0 if one == other else abs(one - other) / max(abs(one), abs(other), smallest)
 
-    def agree(one: float | None, other: float | None) -> bool:
+    def agree(one: float, other: float) -> bool:
         """Return whether two costs are equal within the tolerance."""
         return distance(one, other) <= tolerance
 
-    def is_proved(method: MethodResult) -> bool:
-        """Return whether the bound at the method's price equals its c*: the price is optimal."""
-        return agree(method.objective, method.lower_bound)
-
-    answered = [method for method in methods if method.answered]
-    findings = {}  # method -> objection
-    for method in answered:  # errors that need no second method
-        if (overrun := method.overrun(budget)) > 0.0:
-            findings[method.name] = f"its policy breaks the budget by {overrun:.1e}"
-        elif not agree(method.objective, method.evaluated):
-            stated, attained = f"{method.objective:.12g}", f"{method.evaluated:.12g}"
-            findings[method.name] = f"it states c* = {stated}, but its policy attains {attained}"
-    sound = [method for method in answered if method.name not in findings]
-    if _spread(sound) > weight_tolerance:
-        for method in sound:
-            if not is_proved(method):
-                reason = f"the bound misses c* by {method.gap:.1e}"
-                findings[method.name] = f"its price is not proved: {reason}"
-    if answered:
+    findings = dict[str, str]()  # method -> objection
+    for name, answer in answers.items():  # errors that need no second method
+        stated, attained = answer.solution.objective, answer.evaluation.objective
+        if (overrun := answer.overrun(budget)) > 0.0:
+            findings[name] = f"its policy breaks the budget by {overrun:.1e}"
+        elif not agree(stated, attained):
+            findings[name] = f"it states c* = {stated:.12g}, but its policy attains {attained:.12g}"
+    sound = {name: answer for name, answer in answers.items() if name not in findings}
+    solutions = {name: answer.solution for name, answer in sound.items()}
+    proved = {n: one for n, one in solutions.items() if agree(one.objective, one.lower_bound)}
+    if _spread(solutions.values()) > weight_tolerance:
+        for name in solutions.keys() - proved.keys():
+            missed = f"the bound misses c* by {solutions[name].gap:.1e}"
+            findings[name] = f"its price is not proved: {missed}"
+    if answers:
         findings |= _infeasibility_objections(methods, budget)
-    findings |= _minority_objections(sound, agree) | _refuted(sound, agree)
+    findings |= _mutual_objections(sound, agree)
     named = tuple(method.name for method in methods if method.name in findings)
     remarks = [f"{name}: {findings[name]}" for name in named]
-    if _spread([method for method in sound if is_proved(method)]) > weight_tolerance:
+    if _spread(proved.values()) > weight_tolerance:
         remarks.append("several prices are optimal")  # at a kink they form an interval
-    pairs = list(combinations(answered, 2))
+
+    def widest(costs: Iterable[float]) -> float:
+        """Return the largest distance between two costs."""
+        return max((distance(*both) for both in combinations(costs, 2)), default=0.0)
+
     return CrossCheck(
         methods=tuple(methods),
-        objective_distance=max((distance(r.objective, s.objective) for r, s in pairs), default=0.0),
-        weight_distance=_spread(answered),
-        evaluated_distance=max((distance(r.evaluated, s.evaluated) for r, s in pairs), default=0.0),
-        budget_overrun=max((method.overrun(budget) for method in answered), default=0.0),
+        objective_distance=widest(one.solution.objective for one in answers.values()),
+        weight_distance=_spread(one.solution for one in answers.values()),
+        evaluated_distance=widest(one.evaluation.objective for one in answers.values()),
+        budget_overrun=max((one.overrun(budget) for one in answers.values()), default=0.0),
         disagreeing=named,
         remarks=tuple(remarks),
     )
 
 
-def _spread(methods: Sequence[MethodResult]) -> float:
-    """Return the largest distance between two methods' alpha*."""
-    weights = [w for method in methods if (w := method.adversary_weight) is not None]
+def _spread(solutions: Iterable[Solution]) -> float:
+    """Return the largest distance between two solutions' alpha*."""
+    weights = [w for one in solutions if (w := one.adversary_weight) is not None]
     return max(weights) - min(weights) if weights else 0.0
 
 
@@ -404,7 +378,7 @@ def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) ->
     """Return objections to methods that call a problem infeasible that another one solves."""
     findings = {}
     for method in methods:
-        if (error := method.infeasible) is not None:
+        if isinstance(error := method.error, InfeasibleError):
             lowest = error.least_discounted_failure
             lowest = error.least_failure if lowest is None else lowest
             if lowest is not None and lowest - budget > _EDGE:
@@ -412,34 +386,32 @@ def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) ->
     return findings
 
 
-_Agree = Callable[[float | None, float | None], bool]
-"""Whether two costs are equal within the tolerance."""
+def _mutual_objections(
+    answers: Mapping[str, Answer], agree: Callable[[float, float], bool]
+) -> dict[str, str]:
+    """Return objections to methods outside the majority, or with a bound above a known value.
 
-
-def _refuted(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
-    """Return objections to methods whose lower bound exceeds an attained value."""
-    findings = {}
-    for method, other in permutations(methods, 2):
-        low, value = method.lower_bound, other.evaluated
-        if low is not None and value is not None and low > value and not agree(low, value):
-            findings[method.name] = (
-                f"its lower bound {low:.12g} exceeds the {value:.12g} that the policy of "
-                f"{other.name} attains: one of the two is wrong"
+    Args:
+        answers: answers by method.
+        agree: whether two costs are equal within the tolerance.
+    """
+    findings = dict[str, str]()
+    costs = {name: answer.solution.objective for name, answer in answers.items()}
+    near = [[name for name, cost in costs.items() if agree(own, cost)] for own in costs.values()]
+    majority = max(near, key=len, default=[])
+    if len(majority) == 1 < len(costs):
+        findings = dict.fromkeys(costs, "no other method has its c*")
+    elif len(majority) < len(costs):
+        reason = f"its c* differs from that of {', '.join(sorted(majority))}"
+        findings = dict.fromkeys(costs.keys() - set(majority), reason)
+    for name, other in permutations(answers, 2):
+        low, value = answers[name].solution.lower_bound, answers[other].evaluation.objective
+        if low > value and not agree(low, value):
+            findings[name] = (
+                f"its lower bound {low:.12g} exceeds the {value:.12g} that the policy of {other} "
+                "attains: one of the two is wrong"
             )
     return findings
-
-
-def _minority_objections(methods: Sequence[MethodResult], agree: _Agree) -> dict[str, str]:
-    """Return objections to methods outside the majority; to all if no two agree."""
-    near = [[s.name for s in methods if agree(r.objective, s.objective)] for r in methods]
-    majority = max(near, key=len, default=[])
-    if len(majority) == len(methods):
-        return {}
-    if len(majority) < 2:
-        return {method.name: "no other method has its c*" for method in methods}
-    others = ", ".join(sorted(majority))
-    reason = f"its c* differs from that of {others}"
-    return {method.name: reason for method in methods if method.name not in majority}
 
 
 def second_reading(problem: Problem) -> SecondReading | None:

@@ -14,19 +14,22 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from operator import mul
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ssp_lp.arrays import offsets_of
+from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
 from ssp_lp.model.graph import Graph, end_components, nearer_pairs
 from ssp_lp.verification.expand import ZERO, Program
-from ssp_lp.verification.prove import EXCESS, Column, Counts, Row
+from ssp_lp.verification.prove import EXCESS, Bounds, Column, Counts, Row
 
 ONE = 10**60
 _LOST = 10**28  # values are lowered by at most the largest value divided by this
@@ -35,7 +38,6 @@ _ROUNDING = 10**15  # units: smaller differences may be rounding
 _UNITS = 4  # residual of an equation, in units, that ends the refinement
 _BITS = 960  # most bits of whole numbers that are converted to floats
 _IMPROVEMENTS = 500  # most steps of policy iteration, which has always ended before
-_SWEEPS, _SETTLED = 3_000, 1e-13  # most sweeps of value iteration, and the decrease that ends it
 _ROUNDS = 60  # most rounds of column generation
 _PARTS = 10**30  # prices are multiples of 1 / this
 _LESS = Fraction(1, 10**20)  # share by which the proved ratio is lower if failure is not limited
@@ -76,14 +78,6 @@ class _Lottery(NamedTuple):
     value: Fraction  # the least objective, or ratio
 
 
-class Proved(NamedTuple):
-    """The proof of a program as lines of a file, and the interval that it proves."""
-
-    lines: list[bytes]
-    lower: Fraction
-    upper: Fraction
-
-
 class Nodes:
     """Columns of a program by node, in blocks whose columns lead to the block or earlier ones."""
 
@@ -100,13 +94,11 @@ class Nodes:
             if column.node in self.where:
                 break  # too many to store: `at` builds them
             self.kept[column.node].append(column)
-        met, queue = {0}, [0]
-        for i in queue if not self.where else ():  # the queue grows in the loop
-            after = {j for column in self.kept[i] for _, j in column.moves} - met
-            met |= after
-            queue += after
+        every: Iterable[int] = [*self.kept, *self.where]
+        if not self.where:
+            every = _closure([0], lambda i: (j for c in self.kept[i] for _, j in c.moves))
         blocks = defaultdict[tuple[int, int, int], list[int]](list)
-        for i in [*self.kept, *self.where] if self.where else met:
+        for i in every:
             x, r = self.where.get(i, ((i - 1) % n, 0))
             kind = 2 if i in self.where else int(i <= n)
             step = 0 if program.question["horizon"] is None else -(x // n_states)
@@ -167,27 +159,15 @@ class Nodes:
         names = [c if c >= 0 else -1 - n for n, c in enumerate(component.tolist())]
         number = {name: g for g, name in enumerate(dict.fromkeys(names))}
         group = [number[name] for name in names]
-        leaving = np.flatnonzero(~stays).tolist()
-        ways = [
-            _Way(group[place[columns[c].node]], columns[c].total,
-                [(a, group[j]) for a, j in inner[c]], own[c])
-            for c in leaving
-        ]  # fmt: skip
-        preferred = [self.last.get(columns[c].node) == position[c] for c in leaving]
-        choice = swept(ways, leaving_choice(ways, len(number), preferred))
-        best, values = sub_solution(ways, choice)
+        home = [group[place[column.node]] for column in columns]
+        leaving = sorted(np.flatnonzero(~stays).tolist(), key=home.__getitem__)
+        ways = [_Way(home[c], columns[c].total, [(a, group[j]) for a, j in inner[c]], own[c])
+                for c in leaving]  # fmt: skip
+        best, values = sub_solution(ways, near_choice(ways, len(number)))
         taken = np.zeros(len(columns), dtype=np.bool_)
         taken[[leaving[w] for w in best]] = True
         nearer = nearer_pairs(graph, taken, taken | stays).tolist()  # to where its group is left
         return {i: (values[group[n]], position[nearer[n]]) for i, n in place.items()}
-
-    def column(self, node: int, k: int) -> Column:
-        """Return column k of a node."""
-        x, r = self.where.get(node, (0, 0))
-        if node not in self.where or k >= len(self.actions[x]):
-            return self.at(node)[k]
-        pair = self.program.graph.first[x] + self.actions[x][k]
-        return self.program.column(node, pair, self.program.model[x].actions[self.actions[x][k]], r)
 
     def stop(self, node: int, *, must_wait: bool = False) -> int:
         """Return the position of a node's column that waits for ever or, without one, gives up.
@@ -212,31 +192,26 @@ class Nodes:
             SolverError: the policy goes on for ever where waiting is not free.
         """
         above, decision, chosen = self.program.follows, dict[int, int](), dict[int, Column]()
-        before, queue, ending = defaultdict[int, list[int]](list), [0], list[int]()
-        for i in queue:  # the queue grows in the loop
-            if i in chosen:
-                continue
+
+        def taken(i: int) -> list[int]:
+            """Record the decision at a node, and return the nodes that it leads to."""
             decision[i] = decide(above.get(i, i)) if i else 0
-            column = chosen[i] = self.column(i, decision[i])
+            chosen[i] = self.at(i)[decision[i]]
+            return [j for _, j in chosen[i].moves]
+
+        _closure([0], taken)
+        before, ends = defaultdict[int, list[int]](list), list[int]()
+        for i, column in chosen.items():
             within = [a for a, j in column.moves if i in above or j not in above]
-            ending += [i] * (sum(within) < column.total)
+            ends += [i] * (sum(within) < column.total)
             for _, j in column.moves:
                 before[j].append(i)
-                queue.append(j)
-        ends = set(ending)
-        for j in ending:  # as above
-            more = set(before[j]) - ends if j not in above else set[int]()
-            ends |= more
-            ending += more
-        stopped = {i: self.stop(i, must_wait=True) for i in chosen.keys() - ends - above.keys()}
+        ending = _closure(ends, lambda j: before[j] if j not in above else ())
+        stopped = {i: self.stop(i, must_wait=True) for i in chosen.keys() - ending - above.keys()}
         stopped |= {i: stopped[j] for i, j in above.items() if i in chosen and j in stopped}
         decision |= stopped
-        chosen |= {i: self.column(i, k) for i, k in stopped.items()}
-        met, queue = {0}, [0]
-        for i in queue:  # as above
-            after = {j for _, j in chosen[i].moves} - met
-            met |= after
-            queue += after
+        chosen |= {i: self.at(i)[k] for i, k in stopped.items()}
+        met = _closure([0], lambda i: (j for _, j in chosen[i].moves))
         steps, widest, u = dict[int, int](), 1, [dict[int, int]() for _ in self.program.each]
         for block in self.blocks:
             some = [chosen[i] for i in block if i in met]
@@ -248,6 +223,17 @@ class Nodes:
         t = {i: -(step * 2 * (1 + widest) // ONE) for i, step in steps.items()}
         kept = {i: decision[i] for i in met}
         return Member(kept, t, [{i: -v for i, v in values.items()} for values in u])
+
+
+def _closure(begin: Iterable[int], after: Callable[[int], Iterable[int]]) -> set[int]:
+    """Return the nodes that can be reached from some nodes, these included."""
+    queue = list(begin)
+    met = set(queue)
+    for i in queue:  # the queue grows in the loop
+        more = set(after(i)) - met
+        met |= more
+        queue += more
+    return met
 
 
 def _followed(
@@ -308,27 +294,7 @@ def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[
     share = max(lost * ONE // (4 * (ONE - min(steps))), 8)
     grid = 10 ** (len(str(share // 4)) - 1)
     lowered = [(v + share * n // ONE) // grid * grid for v, n in zip(values, steps, strict=True)]
-    return choice, _ended_exactly(ways, lowered, 2 * lost)
-
-
-def _ended_exactly(ways: Sequence[_Way], values: list[int], room: int) -> list[int]:
-    """Raise values to the cost of ending at once, if the increase is at most ``room``."""
-    ends = dict[int, int]()
-    for way in ways:
-        if not way.outcomes:
-            end = way.own // way.total
-            ends[way.node] = min(ends.get(way.node, end), end)
-    ends = {i: end for i, end in ends.items() if 0 < end - values[i] <= room}
-    while ends:
-        raised = [ends.get(i, value) for i, value in enumerate(values)]
-        wrong = {
-            way.node for way in ways if way.node in ends and
-            raised[way.node] * way.total > way.own + sum(a * raised[j] for a, j in way.outcomes)
-        }  # fmt: skip
-        if not wrong:
-            return raised
-        ends = {i: end for i, end in ends.items() if i not in wrong}
-    return values
+    return choice, lowered
 
 
 def best_values(
@@ -352,35 +318,41 @@ def best_values(
     raise SolverError("policy iteration does not end: round costs that differ by about 1e-40")
 
 
-def swept(ways: Sequence[_Way], choice: Sequence[int]) -> Sequence[int]:
-    """Improve a choice that leaves every node by value iteration from above, in floats."""
-    n, at = len(choice), np.array([way.node for way in ways])
-    own, steps = np.array([way.own / way.total / ONE for way in ways]), _chances(ways, n)
-    first = list(choice)
-    values = splu(sp.csc_array(sp.identity(n, format="csc") - steps[first])).solve(own[first])
-    for _ in range(_SWEEPS):
-        worth, least = own + steps @ values, values.copy()
-        np.minimum.at(least, at, worth)
-        falls, values = values - least, least
-        if falls.max() <= _SETTLED * np.abs(values).max():
-            break
-    return leaving_choice(ways, n, worth <= least[at] + _SETTLED * np.abs(least[at]))
+def near_choice(ways: Sequence[_Way], n_nodes: int) -> list[int]:
+    """Return a way for each node, nearly best, found in working precision; every node is left.
 
+    Args:
+        ways: ways of all nodes, node by node.
+        n_nodes: number of nodes.
 
-def _chances(ways: Sequence[_Way], n_nodes: int) -> sp.csr_array:
-    """Return the probability that each way leads to each node, [ways, nodes]."""
-    entries = [(i, j, a / way.total) for i, way in enumerate(ways) for a, j in way.outcomes]
-    at, to, chances = np.array(entries).reshape(-1, 3).T
+    Raises:
+        SolverError: a node cannot be left.
+    """
+    counts = np.bincount([way.node for way in ways], minlength=n_nodes)
+    exits = np.array([(w.total - sum(a for a, _ in w.outcomes)) / w.total for w in ways])
+    entries = [(k, j, a / way.total) for k, way in enumerate(ways) for a, j in way.outcomes]
+    at, to, chances = np.array(entries, dtype=np.float64).reshape(-1, 3).T
     place = at.astype(np.int64), to.astype(np.int64)
-    return sp.csr_array((chances, place), shape=(len(ways), n_nodes))
+    rows = sp.csr_array((chances, place), shape=(len(ways), n_nodes))
+    dynamics = Dynamics(offsets_of(counts), rows, exits)
+    choice = approach_leaving(dynamics, exits > 0.0)
+    if choice.min() < 0:
+        raise SolverError("some states cannot be left")
+    costs = np.array([way.own / way.total / ONE for way in ways])[:, None]
+    with suppress(SolverError):
+        choice = iterate_policy(dynamics, costs, np.ones(1), choice, precise=False).choice
+    return list(map(int, choice))
 
 
 def solved(chosen: Sequence[_Way]) -> list[int]:
     """Return the values of nodes with one way each, which satisfy their equations to units."""
-    n, values, last = len(chosen), [0] * len(chosen), 0
     if not any(way.outcomes for way in chosen):
         return [way.own // way.total for way in chosen]
-    factors = splu(sp.csc_array(sp.identity(n, format="csc") - _chances(chosen, n)))
+    size, values, last = len(chosen), [0] * len(chosen), 0
+    entries = [(i, i, 1.0) for i in range(size)]
+    entries += [(i, j, -a / way.total) for i, way in enumerate(chosen) for a, j in way.outcomes]
+    at, to, parts = zip(*entries, strict=True)
+    factors = splu(sp.csc_array((parts, (at, to)), shape=(size, size)))
     while True:
         lack = [way.own + sum(a * values[j] for a, j in way.outcomes) - way.total * value
                 for way, value in zip(chosen, values, strict=True)]  # fmt: skip
@@ -391,29 +363,6 @@ def solved(chosen: Sequence[_Way]) -> list[int]:
         scaled = [(own >> finer) / way.total for own, way in zip(lack, chosen, strict=True)]
         last, more = worst, factors.solve(np.array(scaled)).tolist()
         values = [v + (round(step) << finer) for v, step in zip(values, more, strict=True)]
-
-
-def leaving_choice(ways: Sequence[_Way], n_nodes: int, preferred: Sequence[bool]) -> list[int]:
-    """Choose a way for each node that leads nearer to an end, preferred ways first.
-
-    Raises:
-        SolverError: a node cannot be left.
-    """
-    choice = [-1] * n_nodes
-    for some in ([n for n, is_first in enumerate(preferred) if is_first], range(len(ways))):
-        before = defaultdict[int, list[int]](list)
-        for n in some:
-            for _, j in ways[n].outcomes:
-                before[j].append(n)
-        queue = [n for n in some if sum(a for a, _ in ways[n].outcomes) < ways[n].total
-                 or any(choice[j] >= 0 for _, j in ways[n].outcomes)]  # fmt: skip
-        for n in queue:  # the queue grows in the loop
-            if choice[ways[n].node] < 0:
-                choice[ways[n].node] = n
-                queue += before[ways[n].node]
-    if min(choice) < 0:
-        raise SolverError("some states cannot be left")
-    return choice
 
 
 def best_lottery(
@@ -480,13 +429,18 @@ def lower_bound(
     return bound / goal if goal > 0 else None
 
 
-def proof_of(nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]) -> Proved:
-    """Return the best proof of a program: generate columns until both bounds agree.
+def proof_of(
+    nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]
+) -> tuple[list[bytes], Bounds]:
+    """Find the best proof of a program: generate columns until both bounds agree.
 
     Args:
         nodes: nodes of the program.
         first: members of a nearly optimal lottery.
         prices: nearly optimal prices.
+
+    Returns:
+        The lines of the proof in a file, and the interval that it proves.
 
     Raises:
         SolverError: no lottery satisfies the rows.
@@ -535,20 +489,16 @@ def proof_of(nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]) 
     paid = [max(one) for one in zip(most, means[1:], strict=True)]
     lower = lower_bound(program, best[1], best[2][0], paid) or ZERO
     upper = program.objective.constant + means[0]
-    cap, shares = Fraction(program.cap, program.unit), [str(w) for w, _ in drawn]
-    head: dict[str, object] = {
-        "cap": str(cap),
-        "prices": list(map(str, best[1])),
-        "weights": shares,
-    }
+    cap, weights = Fraction(program.cap, program.unit), [str(w) for w, _ in drawn]
+    head: dict[str, Any] = {"cap": str(cap), "prices": [*map(str, best[1])], "weights": weights}
     if ratio:
         lower, upper = _of_few_digits(lower), max(upper, upper / (1 - means[1]))
         head["ratio"] = str(lower)
-    return Proved(_in_lines(head, best[2], [one for _, one in drawn]), lower, upper)
+    return _in_lines(head, best[2], [one for _, one in drawn]), Bounds(lower, upper, {})
 
 
 def _in_lines(
-    head: dict[str, object], values: Mapping[int, int], members: Sequence[Member]
+    head: dict[str, Any], values: Mapping[int, int], members: Sequence[Member]
 ) -> list[bytes]:
     """Return a proof as lines of a file, in the largest unit that divides its numbers."""
     vectors = [values, *(vector for one in members for vector in one.u)]
