@@ -22,7 +22,6 @@ from ssp_lp.analysis.simulation import Estimate
 from ssp_lp.errors import (
     Argument,
     SolverError,
-    attributes_of,
     check_whole,
     did_you_mean,
     optional_module,

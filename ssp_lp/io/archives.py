@@ -25,9 +25,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp import policies
-from ssp_lp.arrays import read_only
+from ssp_lp.arrays import fields_of, read_only
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import Argument, ModelError, attributes_of
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.controller import controller_label
 from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.model import SSP

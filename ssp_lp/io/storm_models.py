@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ssp_lp.errors import Argument, ModelError, optional_module
+from ssp_lp.errors import Argument, ModelError, attributes_of, optional_module
 from ssp_lp.io.model_files import raw_model
 from ssp_lp.io.model_files.raw_model import FilePath, ModelFile
 from ssp_lp.io.model_files.umb import UmbArchive

@@ -21,7 +21,6 @@ from ssp_lp.arrays import (
     IntArray,
     concatenated_ranges,
     entries_of,
-    fields_of,
     least_integer_type,
     offsets_of,
     read_only,

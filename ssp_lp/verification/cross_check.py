@@ -281,8 +281,7 @@ def cross_check(
     check_problem(problem, "cross_check")
     check_between_0_and_1("tolerance", tolerance)
     check_between_0_and_1("weight_tolerance", weight_tolerance)
-    asks = problem.requirements
-    if asks.law or asks.several_rows:
+    if problem.semantics.counts_law or problem.several_rows:
         raise ModelError(
             "cross_check supports expected costs with a failure budget alone, not this "
             f"{type(problem).__name__}: solve it with method='lp' and with method='columns', and "
