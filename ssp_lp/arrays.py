@@ -261,6 +261,25 @@ def expected(start: FloatArray, values: FloatArray) -> npt.NDArray[Any]:
     return np.asarray(start[used] @ values[used])
 
 
+_SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
+
+
+def exact_sum(a: Any, b: Any) -> tuple[Any, Any]:
+    """Return ``a + b`` of numbers or arrays, rounded, and the rounding error (Knuth)."""
+    total = a + b
+    back = total - a
+    return total, (a - (total - back)) + (b - back)
+
+
+def exact_product(a: Any, b: Any) -> tuple[Any, Any]:
+    """Return ``a * b`` of numbers or arrays, rounded, and the rounding error (Dekker)."""
+    total = a * b
+    c, d = _SPLIT * a, _SPLIT * b
+    a_high, b_high = c - (c - a), d - (d - b)
+    a_low, b_low = a - a_high, b - b_high
+    return total, a_low * b_low - (((total - a_high * b_high) - a_low * b_high) - a_high * b_low)
+
+
 CHUNK = 1 << 22
 """Number of entries processed at a time: scratch arrays of some 32 MB."""
 

@@ -14,9 +14,10 @@ import scipy.sparse as sp
 from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.arrays import FAILURE_FLOOR, BoolArray, FloatArray, segment_sums
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
-from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP
+from ssp_lp.model.graph import nearer_pairs
 from ssp_lp.processes.goal_reach import GoalReach, ReachPolicy
 from ssp_lp.processes.live_rows import costless_pairs, successor_means
 from ssp_lp.processes.quotient import Quotient, build_quotient
@@ -45,7 +46,7 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachP
     gain = quotient.at_pairs(_tilted_arrivals(model, rate))
     hit = quotient.at_pairs(successor_means(model, model.goal_mask))
     plain, _ = quotient.dynamics(1.0, departing=False)
-    first = approach_leaving(plain, hit > 0)
+    first = nearer_pairs(plain.graph, hit > 0)
     settled = iterate_policy(shrinking, gain[:, None], -_ONE, first)
     moment = settled.totals[:, 0]
     bound = -sub_solution(shrinking, -gain, -moment, floor=-1.0 - 1e-9)

@@ -47,10 +47,10 @@ from ssp_lp.dynamic_programming.bellman import (
     safe_minima,
 )
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
-from ssp_lp.dynamic_programming.dynamics import approach_leaving
 from ssp_lp.dynamic_programming.equations import COMPONENTS
 from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
+from ssp_lp.model.graph import nearer_pairs
 
 _ONE, _NONE, _NO_LIMITS = np.ones(1), np.zeros(0), np.zeros((0, 0))
 
@@ -571,7 +571,7 @@ class Sweep:
         if self.is_acyclic:
             return self.first_pairs
         leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
-        return approach_leaving(base.instant_dynamics, leaving)
+        return nearer_pairs(base.instant_dynamics.graph, leaving)
 
 
 def _sweep_plainly(

@@ -44,7 +44,6 @@ from ssp_lp.column_generation.column import (
     FailureRow,
     PricingProblem,
     Proof,
-    relative_gap,
     required,
 )
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
@@ -394,9 +393,6 @@ class _CompiledLayered(CompiledProblem):
         """Return the part of a bound that the cap loses; 0 if it is proved lossless."""
         return self.pricing().tail_loss(price, slack=slack, proof=proof)
 
-
-_UNPROVED = 1e-10
-"""Relative gap with least failure above which pairs are compared in twice the working precision."""
 
 _FIRST_LAYERS = 2.5
 """First cap, as a multiple of the first tail policy's cost given success."""
@@ -881,7 +877,6 @@ class CompiledExplicit(CompiledProblem):
     discount: float | None = None
     side: tuple[UpperRow, ...] = ()
     budget: float | None = 1.0
-    precise: bool = False  # compare pairs in twice the working precision
     charge: Charge | None = None
     ratio: bool = False
     cap: int | None = None  # layers; None: a first guess
@@ -965,13 +960,9 @@ class CompiledExplicit(CompiledProblem):
         self.check_sure()
         stage = label_failure(*how, self.greatest.usable)
         begun_from = stage.placed(self.greatest.decision)
-        second = ExplicitPricing(stage, self.precise, begun_from=begun_from, by_goal=self.by_goal)
+        second = ExplicitPricing(stage, begun_from=begun_from, by_goal=self.by_goal)
         column = second.minimise(0.0)
         bound = second.prove(0.0, column).bound
-        if relative_gap(column.cost, bound) > _UNPROVED and not self.precise:
-            second = replace(second, precise=True)
-            column = second.minimise(0.0, column)
-            bound = second.prove(0.0, column).bound
         policy = second.policy(column)
         foreign = replace(column, choice=None, found_at=None, policy=policy)
         return LeastFailure(
@@ -1102,7 +1093,7 @@ class CompiledExplicit(CompiledProblem):
             return self.explicit_pricing
         counting = layered.counting(self.semantics)
         rows = tuple(row.at(counting) for row in self.side)
-        return OpenEndedPricing(layered, self.precise, rows, self.by_goal, self.exact_tails)
+        return OpenEndedPricing(layered, rows, self.by_goal, self.exact_tails)
 
     @property
     def _is_swept(self) -> bool:
@@ -1119,7 +1110,7 @@ class CompiledExplicit(CompiledProblem):
         counted = rows.pop(0) if own else None
         if self.by_goal and self.semantics.aim is Aim.GREATEST_GOAL:
             counted = -self.augmented.process.goal
-        how = self.precise, tuple(rows), counted, self._sure_choice
+        how = tuple(rows), counted, self._sure_choice
         return ExplicitPricing(self.augmented, *how, by_goal=self.by_goal)
 
     @property
@@ -1195,17 +1186,13 @@ class CompiledExplicit(CompiledProblem):
         return _MOST_SWEPT if self._is_swept else written_out.MOST_WRITTEN
 
     def refined(self, price: float) -> CompiledExplicit | None:
-        """Return the problem with more layers or, in case M, precision; None: at its finest.
+        """Return the problem with more layers; None: at its finest.
 
         Args:
             price: price of failure, which is the accumulated cost from which failing is optimal.
         """
         if self.charge is None:
-            if self.precise:
-                return None
-            precise = replace(self, precise=True)
-            vars(precise)["augmented"] = self.augmented
-            return precise
+            return None
         exact = None if self.exact_tails else self.with_tails(exact=True)
         if self.fixed_cap is not None:
             return exact

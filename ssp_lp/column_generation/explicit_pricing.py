@@ -40,7 +40,7 @@ from ssp_lp.column_generation.column import (
     required,
 )
 from ssp_lp.compiled.deadline import Stop, is_limited
-from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.dynamic_programming.bellman import Work, best_pairs
 from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_choice
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
@@ -75,7 +75,6 @@ class ExplicitPricing(PricingProblem):
     """
 
     augmented: FailureLabelled | OpenEnded | LastLayer  # the process, and its map to the model
-    precise: bool = False  # compare pairs in twice the working precision
     rows: tuple[FloatArray, ...] = ()  # [pairs] each: the rewards after cost and failure
     counted: FloatArray | None = None  # [pairs] replaces the cost of the process
     begun_from: IntArray | None = None  # [states] a known policy that leaves
@@ -147,7 +146,7 @@ class ExplicitPricing(PricingProblem):
         smaller = self.contracted(weights)
         at = float(weights[1]) if len(weights) == 2 and weights[0] == 1.0 else None
         noise = _noise(weights, warm) if self.by_goal or self.rows else 0.0
-        run = partial(iterate_policy, precise=self.precise or None, floor=noise)
+        run = partial(iterate_policy, floor=noise)
         if smaller is None:
             settled = run(self.dynamics, self.rewards, weights, choice, guess)
             found = settled.choice, settled.totals
@@ -199,9 +198,10 @@ class ExplicitPricing(PricingProblem):
         """Return whether a column is optimal at other weights: no pair improves its values."""
         values = weighted(required(column.totals), weights)
         cost, held = weighted(self.rewards, weights), required(column.choice)
-        backup = self.dynamics.back_up(cost, values, held)
+        dynamics = self.dynamics
+        backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, cost, values, held)
         gain = backup.here - backup.minima
-        return not self.precise and bool((gain <= self.no_gain * np.abs(backup.here)).all())
+        return bool((gain <= self.no_gain * np.abs(backup.here)).all())
 
     def measure(
         self, choice: IntArray, work: Work = _NONE, found_at: float | None = None

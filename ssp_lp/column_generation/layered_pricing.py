@@ -308,7 +308,6 @@ class OpenEndedPricing(PricingProblem):
     """
 
     augmented: OpenEnded
-    precise: bool  # compare pairs beyond the cap in twice the working precision
     rows: tuple[tuple[FloatArray, float], ...]  # further rewards: [pairs], at the start
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure
     exact_tails: bool = True  # optimal tails beyond the cap, not the better of two policies
@@ -327,7 +326,7 @@ class OpenEndedPricing(PricingProblem):
     def _beyond(self) -> ExplicitPricing:
         """The pricing problem of the last layer, beyond the cap."""
         rows = tuple(row for row, _ in self.rows)
-        return ExplicitPricing(self.augmented.beyond, self.precise, rows, by_goal=self.by_goal)
+        return ExplicitPricing(self.augmented.beyond, rows, by_goal=self.by_goal)
 
     @cached_property
     def sweep(self) -> Sweep:

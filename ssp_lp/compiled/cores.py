@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from functools import partial
 from types import FunctionType
 from typing import Any, Final
 
@@ -83,7 +84,7 @@ def compiled_loop(function: Any = None, **options: Any) -> Any:
         options: options of numba.
     """
     if function is None:
-        return lambda function: compiled_loop(function, **options)
+        return partial(compiled_loop, **options)
     dispatcher = njit(**options)(function)
     with suppress(RuntimeError):  # no writable cache: compiled in each process
         dispatcher._cache = _Cache(function)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
+from ssp_lp.arrays import exact_product, exact_sum
 from ssp_lp.compiled.cores import compiled_loop, one_or_all_cores
 
 Array = np.ndarray[Any, Any]
@@ -400,25 +401,8 @@ def work_of_levels(indptr: Array, indices: Array) -> tuple[int, float]:
 
 
 _LOWERINGS = 8  # most lowerings of a value by its lack; two usually suffice
-_SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
-
-
-@compiled_loop(inline="always")
-def exact_sum(a: float, b: float) -> tuple[float, float]:
-    """Return a + b, rounded, and the rounding error (Knuth)."""
-    total = a + b
-    back = total - a
-    return total, (a - (total - back)) + (b - back)
-
-
-@compiled_loop(inline="always")
-def _precise_product(a: float, b: float) -> tuple[float, float]:
-    """Return a * b, rounded, and the rounding error (Dekker)."""
-    total = a * b
-    c, d = _SPLIT * a, _SPLIT * b
-    a_high, b_high = c - (c - a), d - (d - b)
-    a_low, b_low = a - a_high, b - b_high
-    return total, a_low * b_low - (((total - a_high * b_high) - a_low * b_high) - a_high * b_low)
+_exact_sum = compiled_loop(exact_sum, inline="always")
+_exact_product = compiled_loop(exact_product, inline="always")
 
 
 @compiled_loop(inline="always")
@@ -429,18 +413,18 @@ def precise_advantage(
     """Return a pair's advantage in twice the precision, at high + low, and its rounding."""
     total, rest, small, whole = cost, 0.0, 0.0, 0.0
     if exits[row] != 0.0:
-        term, lost = _precise_product(-exits[row], high[s])
-        total, slip = exact_sum(total, term)
+        term, lost = _exact_product(-exits[row], high[s])
+        total, slip = _exact_sum(total, term)
         bit = exits[row] * low[s]
         rest += slip + lost - bit
         small += abs(slip) + abs(lost) + abs(bit)
         whole += abs(term)
     for k in range(indptr[row], indptr[row + np.uint32(1)]):
         j, p = indices[k], data[k]
-        step, missed = exact_sum(high[j], -high[s])
+        step, missed = _exact_sum(high[j], -high[s])
         missed += low[j] - low[s]
-        term, lost = _precise_product(p, step)
-        total, slip = exact_sum(total, term)
+        term, lost = _exact_product(p, step)
+        total, slip = _exact_sum(total, term)
         bit = p * missed
         rest += slip + lost + bit
         small += abs(slip) + abs(lost) + abs(bit)
@@ -604,7 +588,7 @@ def evaluate_precisely(
         solve_by_elimination(*chain, order, offsets, 0, offsets.size - 1, most, right, solved)
         for s in range(n):
             for j in range(k):
-                x[s, j], low[s, j] = exact_sum(x[s, j], low[s, j] + solved[s, j])
+                x[s, j], low[s, j] = _exact_sum(x[s, j], low[s, j] + solved[s, j])
     return True
 
 

@@ -70,7 +70,7 @@ def improve_components(
 
 @compiled_loop
 def improve_acyclic(
-    rows: Rows, order: Array, rewards: Array, weights: Array, keeps: bool, epsilon: float,
+    rows: Rows, order: Array, rewards: Array, cost: Array, keeps: bool, epsilon: float,
     choice: Array, x: Array, runs: Array, missed: Array,
 ) -> bool:  # fmt: skip
     """Improve a policy in one pass over a process without cycles, and compute all totals.
@@ -81,7 +81,7 @@ def improve_acyclic(
         rows: the process.
         order: states, ends first, [states].
         rewards: [pairs, rewards].
-        weights: weights of the rewards, whose sum is minimised, [rewards].
+        cost: the weighted sum of the rewards, which is minimised, [pairs].
         keeps: whether to take the given pairs.
         epsilon: the machine epsilon.
         choice: the given pairs, kept if equally good; written, [states].
@@ -92,36 +92,24 @@ def improve_acyclic(
     Returns:
         False if some state is never left.
     """
-    offsets, indptr, indices, data, exits = rows
-    n_rewards, unit = weights.size, 0.51 * epsilon  # beyond a half for products of roundings
+    _, indptr, indices, data, exits = rows
+    n_rewards, unit = rewards.shape[1], 0.51 * epsilon  # beyond a half for products of roundings
     values, wrong = np.empty(runs.size), np.empty(x.shape)
     missed[:] = 0.0
     for s in order:
-        pick, least = choice[s], np.inf
-        for pair in range(offsets[s], offsets[s + np.uint32(1)]):
-            if keeps and pair != choice[s]:
-                continue
-            total, departs = 0.0, exits[pair]
-            for j in range(n_rewards):
-                if weights[j] != 0.0:
-                    total += weights[j] * rewards[pair, j]
-            for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
-                if indices[k] != s:
-                    departs += data[k]
-                    total += data[k] * values[indices[k]]
-            if departs > 0.0:
-                total /= departs
-                if total < least or (total == least and pair == choice[s]):
-                    pick, least = pair, total
-        if least == np.inf:
-            return False
-        choice[s], values[s] = pick, least
-        departs, slip, steps = exits[pick], 0.0, 1.0
+        if not keeps:
+            pick, values[s], kept, _ = _best_pair(rows, cost, values, s, choice[s])
+            if values[s] < kept:
+                choice[s] = pick
+        pick, slip, steps = choice[s], 0.0, 1.0
+        departs = exits[pick]
         for k in range(indptr[pick], indptr[pick + np.uint32(1)]):
             if indices[k] != s:
                 departs += data[k]
                 slip += departs
                 steps += data[k] * runs[indices[k]]
+        if departs <= 0.0:
+            return False
         runs[s] = steps / departs
         for j in range(n_rewards):
             total, rounded, error = rewards[pick, j], 0.0, 0.0

@@ -16,13 +16,21 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import IMPROVEMENT, MACHINE_EPSILON, BoolArray, FloatArray, IntArray, weighted
+from ssp_lp.arrays import (
+    IMPROVEMENT,
+    MACHINE_EPSILON,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    exact_sum,
+    weighted,
+)
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, pricing_weights
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit, LeastFailure
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.distributed.part import Part
 from ssp_lp.distributed.ranks import Halo, Ranks
-from ssp_lp.dynamic_programming.bellman import Moves, Work, best_pairs, chosen_rows, exact_sum
+from ssp_lp.dynamic_programming.bellman import Moves, Work, best_pairs, chosen_rows
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.dual_bound import shortfall
 from ssp_lp.dynamic_programming.dynamics import SETTLED, Dynamics

@@ -19,6 +19,8 @@ from ssp_lp.arrays import (
     IntArray,
     concatenated_ranges,
     csr_of,
+    exact_product,
+    exact_sum,
     first_minimisers,
     offsets_of,
     segment_minima,
@@ -30,7 +32,6 @@ from ssp_lp.compiled.deadline import check_time, pieces
 _FEW_ENTRIES = 20_000
 _NONE = np.zeros(0)
 _NOBODY = np.zeros(0, dtype=np.uint32)
-_SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 
 @dataclass(frozen=True)
@@ -321,28 +322,15 @@ class Moves(NamedTuple):
             values: [states].
         """
         home, transitions, exits = self
-        if accelerated(len(transitions.indices), "equations.advantages_safely"):
-            from ssp_lp.compiled.equations import advantages_safely
+        if not accelerated(len(transitions.indices), "equations.advantages_safely"):
+            return self.advantage_bounds(cost, values)[0]
+        from ssp_lp.compiled.equations import advantages_safely
 
-            result = np.empty(len(cost))
-            parts = unsigned_parts(home, transitions)
-            run = advantages_safely(len(transitions.indices))
-            run(*parts, exits, cost, values, MACHINE_EPSILON, result)
-            return result
-        here = values[home]
-        term = exits * here
-        total = cost - term
-        rounded = np.where(
-            exits == 0.0, 0.0, np.abs(total) + np.where(exits == 1.0, 0.0, np.abs(term))
-        )
-        begin, lengths = transitions.indptr[:-1], np.diff(transitions.indptr)
-        for k in range(int(lengths.max(initial=0))):
-            rows = np.flatnonzero(lengths > k)
-            entry = begin[rows] + k
-            term = transitions.data[entry] * (values[transitions.indices[entry]] - here[rows])
-            total[rows] += term
-            rounded[rows] += np.where(term == 0.0, 0.0, np.abs(total[rows]) + 2.0 * np.abs(term))
-        return np.asarray(total - MACHINE_EPSILON * rounded)
+        result = np.empty(len(cost))
+        parts = unsigned_parts(home, transitions)
+        run = advantages_safely(len(transitions.indices))
+        run(*parts, exits, cost, values, MACHINE_EPSILON, result)
+        return result
 
     def advantage_bounds(
         self, cost: FloatArray, values: FloatArray
@@ -364,25 +352,10 @@ class Moves(NamedTuple):
             for part in (terms, np.abs(terms))
         )
         leaving = exits * here
-        result = total + (cost - leaving)
-        rounding = MACHINE_EPSILON * (
-            (lengths + 2.0) * whole + np.abs(cost) + 2.0 * np.abs(leaving) + np.abs(result)
-        )
+        at_once = cost - leaving
+        result = at_once + total
+        rounded = np.abs(at_once) + np.where(exits == 1.0, 0.0, np.abs(leaving))
+        rounded[exits == 0.0] = 0.0
+        rounded += np.where(whole == 0.0, 0.0, (lengths + 1.0) * whole + np.abs(result))
+        rounding = 0.51 * MACHINE_EPSILON * rounded  # beyond a half for products of roundings
         return result - rounding, result + rounding
-
-
-def exact_sum(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ``a + b`` of arrays, rounded, and the rounding error (Knuth)."""
-    total = a + b
-    back = total - a
-    return total, (a - (total - back)) + (b - back)
-
-
-def exact_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ``a * b`` of arrays, rounded, and the rounding error (Dekker)."""
-    total = a * b
-    c, d = _SPLIT * a, _SPLIT * b
-    a_high, b_high = c - (c - a), d - (d - b)
-    a_low, b_low = a - a_high, b - b_high
-    lost = a_low * b_low - (((total - a_high * b_high) - a_low * b_high) - a_high * b_low)
-    return total, lost

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import ClassVar
 from weakref import proxy
 
 import numpy as np
@@ -42,6 +41,7 @@ _BAND_WORK = 6e8
 
 _BANDED = 4.0  # most work of a reduction, in multiples of the work of sparse factors
 _MOST_BAND_WORK = 1e10  # most work of a reduction if no other method is precise enough
+_MOST_SWEEPS = 300  # most sweeps of one run
 _TRIAL = 6  # sweeps over which the contraction is measured
 _CONTRACTION = 0.7  # greatest factor per sweep; slower components use other methods
 _KRYLOV_STEPS = 400
@@ -188,8 +188,6 @@ class LargeComponent:
 class Iteration:
     """Equations ``y = right + own @ y`` whose iteration converges."""
 
-    most_sweeps: ClassVar[int] = 300  # most sweeps of one run
-
     def __init__(self, own: sp.csr_array, direct_work: Callable[[], float]) -> None:
         """Set up the iteration of a chain's equations, or of the equations of its visits.
 
@@ -241,7 +239,7 @@ class Iteration:
 
         Args:
             right: [members, rewards].
-            y: values of the members, and of other columns, which do not change, [columns, rewards].
+            y: [members, rewards].
         """
         check_time()
         self.products += 1
@@ -250,48 +248,35 @@ class Iteration:
 
             swept: tuple[float, float] = sweep(*self._own_arrays, right, y)
             return swept
-        own = y[: len(right)]
         ahead = right + self.own @ y
-        change = float(np.abs(ahead - own).max(initial=0.0))
-        own[:] = ahead
+        change = float(np.abs(ahead - y).max(initial=0.0))
+        y[:] = ahead
         return change, float(np.abs(ahead).max(initial=0.0))
 
-    def greatest(self, *numbers: float) -> tuple[float, ...]:
-        """Return the greatest of each number over all processes that share the equations."""
-        return numbers
-
-    def change_left(self, right: FloatArray, y: FloatArray, target: float) -> float:
-        """Sweep while the changes contract well; return the last sweep's relative change.
+    def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
+        """Sweep in place while the changes contract well; return whether the target is met.
 
         Args:
-            right: see :meth:`sweep`.
-            y: see :meth:`sweep`; improved in place.
-            target: a change that is small enough.
-
-        Returns:
-            The relative change; infinity if the sweeps contract slowly.
+            right: [members, rewards].
+            y: [members, rewards].
+            target: a relative change that is small enough.
 
         Raises:
             SolverError: the totals overflow.
         """
-        changes, relative = list[float](), np.inf
-        (most,) = self.greatest(float(np.abs(right).max(initial=0.0)))
-        while len(changes) <= self.most_sweeps:
+        changes, most = list[float](), float(np.abs(right).max(initial=0.0))
+        while len(changes) <= _MOST_SWEEPS:
             change, size = self.sweep(right, y)
             relative = change / (size + most) if size + most > 0 else 0.0
             if relative <= target:
-                break
+                return True
             if not np.isfinite(relative):
                 raise SolverError("a policy's totals overflow")
             judged = len(changes) >= _TRIAL
             if judged and relative > _CONTRACTION**_TRIAL * changes[-_TRIAL]:
-                return np.inf
+                return False
             changes.append(relative)
-        return relative
-
-    def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """Sweep while the changes contract well; return whether the target is met."""
-        return self.change_left(right, y, target) <= target
+        return False
 
     def _by_krylov(self, right: FloatArray, y: FloatArray, target: float) -> bool:
         """Solve each reward by BiCGStab; return whether all rewards met the target."""
@@ -460,31 +445,30 @@ def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
 def on_departing(
     chain: sp.csr_array, exits: FloatArray, states: IntArray, place: IntArray
 ) -> tuple[sp.csr_array, FloatArray, FloatArray]:
-    """Return rows of some states of a chain, conditioned on departing from the state.
+    """Return a component's moves, conditioned on departing from the state.
 
     Args:
-        chain: probabilities of going on, [states, columns].
+        chain: transitions of the whole chain, [states, states].
         exits: exits of the whole chain, [states].
-        states: states of the rows, in the order in which they are swept, [members].
-        place: position of each column in the result, -1 if it is left out, [columns]; the members
-            come first, in their order.
+        states: the members, in the order in which they are swept, [members].
+        place: position of each state among the members; -1 elsewhere, [states].
 
     Returns:
-        Conditional moves, [members, places]; the probability of departing, and its part into exits
-        and columns that are left out, [members] each.
+        Conditional moves, [members, members]; the probability of departing, and its part that
+        leaves the component, [members] each.
 
     Raises:
         SolverError: some state is never departed from.
     """
-    size, width = len(states), int(place.max(initial=-1)) + 1
+    size = len(states)
     if not accelerated(chain.nnz, "equations.gather_inside"):
         rows = chain[states]
         leaving = exits[states] + rows @ (place < 0).astype(np.float64)
         entry = rows.tocoo()
         kept = place[entry.col] >= 0
         parts = entry.data[kept], (entry.row[kept], place[entry.col[kept]])
-        row, column, data, departs = departures(sp.csr_array(parts, shape=(size, width)), leaving)
-        shared = sp.csr_array((data / departs[row], (row, column)), shape=(size, width))
+        row, column, data, departs = departures(sp.csr_array(parts, shape=(size, size)), leaving)
+        shared = sp.csr_array((data / departs[row], (row, column)), shape=(size, size))
         return shared, departs, leaving
     from ssp_lp.compiled.equations import gather_inside
 
@@ -498,7 +482,7 @@ def on_departing(
             unsigned(indptr)[some.start : some.stop + 1], unsigned(indices), data,
             departs[some], leaving[some],
         )  # fmt: skip
-    return sp.csr_array((data, indices, indptr), shape=(size, width)), departs, leaving
+    return sp.csr_array((data, indices, indptr), shape=(size, size)), departs, leaving
 
 
 def departures(

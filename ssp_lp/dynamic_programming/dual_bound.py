@@ -21,13 +21,14 @@ from ssp_lp.arrays import (
     MACHINE_EPSILON,
     FloatArray,
     IntArray,
+    exact_sum,
     segment_minima,
     unsigned,
 )
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, exact_sum, safe_minima
-from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leaving_chain
+from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, safe_minima
+from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_chain
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
 from ssp_lp.dynamic_programming.evaluation import (
     NEARLY,
@@ -37,6 +38,7 @@ from ssp_lp.dynamic_programming.evaluation import (
 )
 from ssp_lp.dynamic_programming.policy_iteration import improve_backwards, iterate_policy
 from ssp_lp.errors import SolverError
+from ssp_lp.model.graph import nearer_pairs
 
 _ROUNDS = 12
 _SPARE = 16.0  # reduced cost, in lacks, up to which a pair counts as optimal
@@ -161,7 +163,7 @@ def _precise_bound(
     """Compute a bound by policy iteration in twice the working precision; None if that fails."""
     choice = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values).choice
     try:
-        nearest = approach_leaving(dynamics, dynamics.exits > 0.0)
+        nearest = nearer_pairs(dynamics.graph, dynamics.exits > 0.0)
         choice = leaving_chain(dynamics, choice, nearest)[1]
         settled = iterate_policy(dynamics, pair_cost[:, None], _ONE, choice, precise=True)
         ahead = _bound_advantages(dynamics, pair_cost, settled.values, settled.low)

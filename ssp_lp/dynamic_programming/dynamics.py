@@ -8,27 +8,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import (
     IMPROVEMENT,
-    BoolArray,
     FloatArray,
     IntArray,
     concatenated_ranges,
-    first_minimisers,
     offsets_of,
     segment_ids,
-    segment_minima,
     sorted_unique,
     unsigned,
 )
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import pieces
-from ssp_lp.dynamic_programming.bellman import Backup, Moves, best_pairs, chosen_rows
+from ssp_lp.dynamic_programming.bellman import Moves, chosen_rows
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.equations import (
     BY_HEIGHT,
@@ -76,7 +72,6 @@ class Dynamics:
     pair_offsets: IntArray  # [states + 1]
     transitions: sp.csr_array  # [pairs, states]
     exits: FloatArray  # [pairs]
-    few: ClassVar[int] = DIRECT_STATES  # chains of more states are checked to leave
     is_reused: bool = False  # whether it is solved many times, as a layer of accumulated cost
 
     @cached_property
@@ -148,45 +143,6 @@ class Dynamics:
     def levels(self) -> list[Level]:
         """States by their greatest distance from an end, for dynamics without cycles."""
         return list(_levels_of_dynamics(self))
-
-    def back_up(self, pair_cost: FloatArray, values: FloatArray, held: IntArray) -> Backup:
-        """Compute the Bellman backup: the least value of each state, and the held pairs' values.
-
-        Args:
-            pair_cost: [pairs].
-            values: [states].
-            held: a pair of each state, [states].
-        """
-        return best_pairs(self.pair_offsets, self.transitions, pair_cost, values, held)
-
-    def taken(self, rewards: FloatArray, choice: IntArray) -> FloatArray:
-        """Return the rewards of a policy's pairs, [states] or [states, rewards].
-
-        Args:
-            rewards: [pairs] or [pairs, rewards].
-            choice: [states].
-        """
-        return rewards[choice]
-
-    def precise_gains(
-        self, pair_cost: FloatArray, values: FloatArray, low: FloatArray
-    ) -> tuple[FloatArray, IntArray]:
-        """Compute the gain of each state's best pair in twice the working precision.
-
-        Args:
-            pair_cost: [pairs].
-            values: [states].
-            low: [states] to be added to the values.
-
-        Returns:
-            A lower bound of the best pair's gain, with its rounding, and the pair, [states] each.
-        """
-        offsets = self.pair_offsets
-        ahead, rounding = self.moves.precise_advantages(pair_cost, values, low)
-        picks = np.array(offsets[:-1], dtype=np.int32)
-        best = first_minimisers(ahead, segment_minima(ahead, offsets), offsets)
-        picks[np.diff(offsets) > 0] = best
-        return -segment_minima(ahead + rounding, offsets), picks
 
     def improve_by_sweeps(
         self,
@@ -317,21 +273,6 @@ def without_self_loops(
     return sp.csr_array((scaled, (entry.row[kept], entry.col[kept])), shape=rows.shape), departs
 
 
-def approach_leaving(dynamics: Dynamics, leaving: BoolArray) -> IntArray:
-    """Find a policy under which every state leaves through a leaving pair.
-
-    Each state takes a pair that may lead nearer, in number of steps, to such a pair.
-
-    Args:
-        dynamics: the process.
-        leaving: pairs that leave with positive probability, [pairs].
-
-    Returns:
-        [states] the pair taken; -1 if no leaving pair can be reached.
-    """
-    return nearer_pairs(dynamics.graph, leaving)
-
-
 def leaving_choice(
     dynamics: Dynamics, goal: FloatArray, to_goal: IntArray | None = None
 ) -> IntArray:
@@ -342,10 +283,10 @@ def leaving_choice(
         goal: probability of reaching the goal by each pair, [pairs].
         to_goal: known pairs that lead nearer to the goal, -1 if none, [states].
     """
-    to_goal = approach_leaving(dynamics, goal > 0.0) if to_goal is None else to_goal
+    to_goal = nearer_pairs(dynamics.graph, goal > 0.0) if to_goal is None else to_goal
     if to_goal.min(initial=0) >= 0:
         return to_goal
-    return np.where(to_goal >= 0, to_goal, approach_leaving(dynamics, dynamics.exits > 0.0))
+    return np.where(to_goal >= 0, to_goal, nearer_pairs(dynamics.graph, dynamics.exits > 0.0))
 
 
 def leaving_chain(

@@ -23,11 +23,12 @@ from ssp_lp.arrays import (
     MACHINE_EPSILON,
     FloatArray,
     IntArray,
+    exact_sum,
     unsigned,
+    weighted,
 )
 from ssp_lp.compiled.accelerator import with_twin
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.bellman import exact_sum
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT, System
@@ -97,9 +98,7 @@ def evaluate_policy(
         totals = _evaluated_policy(dynamics, choice, rewards, accuracy)
         if totals is not None:
             return totals
-    return evaluate_chain(
-        dynamics.chain(choice), dynamics.taken(rewards, choice), accuracy=accuracy
-    )
+    return evaluate_chain(dynamics.chain(choice), rewards[choice], accuracy=accuracy)
 
 
 def _evaluated_policy(
@@ -150,10 +149,10 @@ def acyclic_totals(
     from ssp_lp.compiled.policy_improvement import improve_acyclic
 
     choice, runs, missed, x = choice.copy(), np.empty(shape[0]), np.empty(shape[1]), np.empty(shape)
+    cost = weighted(rewards, np.zeros(shape[1]) if weights is None else weights)
     if not improve_acyclic(
         dynamics.rows, unsigned(dynamics.components.order),
-        rewards, np.zeros(shape[1]) if weights is None else weights, weights is None,
-        MACHINE_EPSILON, choice.view(np.uint32), x, runs, missed,
+        rewards, cost, weights is None, MACHINE_EPSILON, choice.view(np.uint32), x, runs, missed,
     ):  # fmt: skip
         raise SolverError(HOLDS_MASS)
     totals = Totals(x, np.zeros_like(x), runs, missed)

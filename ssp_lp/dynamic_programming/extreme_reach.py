@@ -30,7 +30,7 @@ from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import STOPS, closing, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
-from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACTLY_SOLVED
 from ssp_lp.dynamic_programming.evaluation import (
     PRECISE,
@@ -189,7 +189,7 @@ def _swept_towards(
     choice = nearer_pairs(dynamics.graph, wanted > 0.0, distance=distance)
     stuck, low = choice < 0, np.zeros(dynamics.n_states)
     if stuck.any():
-        choice = np.where(stuck, approach_leaving(dynamics, dynamics.exits > 0.0), choice)
+        choice = np.where(stuck, nearer_pairs(dynamics.graph, dynamics.exits > 0.0), choice)
     choice = choice.astype(np.int32)
     loops = "policy_improvement.sweep_reach", "policy_improvement.follow_reach"
     is_compiled = accelerated(_SWEEPS * dynamics.transitions.nnz, *loops)

@@ -142,7 +142,7 @@ def iterate_policy(
         else:
             rounds = howard_rounds(dynamics, rewards, weights, latest, guess, floor)
             choice, system, solved, left, work = rounds
-            totals = evaluate_chain(system, dynamics.taken(rewards, choice), solved)
+            totals = evaluate_chain(system, rewards[choice], solved)
             work = work + Work(0, system.products)
     except STOPS as stop:
         end_with_incumbent(stop)
@@ -194,6 +194,7 @@ def howard_rounds(
         work.
     """
     evaluation = _Evaluation(dynamics, rewards, weights, totals, floor)
+    offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     choice, before, work = latest[0], None, Work()
     changed, n_rounds = np.inf, 0
     while True:
@@ -202,7 +203,7 @@ def howard_rounds(
         latest[0] = choice
         products = evaluation.evaluate(system, choice)
         values, n_rounds, work = evaluation.values, n_rounds + 1, work + Work(1, products)
-        backup = dynamics.back_up(evaluation.pair_cost, values, choice)
+        backup = best_pairs(offsets, transitions, evaluation.pair_cost, values, choice)
         better = evaluation.judge(backup)
         if better is None:  # too rough: evaluate the same policy again
             continue
@@ -257,7 +258,7 @@ class _Evaluation:
 
     def leaving(self, choice: IntArray, before: IntArray | None) -> tuple[System, IntArray]:
         """Return an improved policy's chain, checked to leave (if states are few, by totals)."""
-        if self.dynamics.n_states <= self.dynamics.few:
+        if self.dynamics.n_states <= DIRECT_STATES:
             return self.dynamics.chain(choice), choice
         return leaving_chain(self.dynamics, choice, before)
 
@@ -270,13 +271,11 @@ class _Evaluation:
         self._is_iterated = not system.is_solved_exactly
         self._is_exact = not self._is_iterated or self._accuracy <= EXACT
         self._is_evaluated = not self._is_single or not self._is_iterated
-        taken = self.dynamics.taken
         if self._is_evaluated:
-            self.totals = system.solve(taken(self.rewards, choice), self.totals, self._accuracy)
+            self.totals = system.solve(self.rewards[choice], self.totals, self._accuracy)
             self.values = weighted(self.totals, self.weights)
         else:
-            cost = taken(self.pair_cost, choice)
-            self.values = system.solve(cost, self.values, self._accuracy)
+            self.values = system.solve(self.pair_cost[choice], self.values, self._accuracy)
         self._is_single = self._is_single or system.is_solved_reward_by_reward
         if self._is_exact and self._above is not None:
             rounding = NEARLY * float(np.abs(self._above).max(initial=0.0))
@@ -306,7 +305,7 @@ class _Evaluation:
         """Return the exact totals of the last policy, [states, rewards]."""
         if self._is_evaluated and self.totals is not None:
             return self.totals
-        return system.solve(self.dynamics.taken(self.rewards, choice), self.totals)
+        return system.solve(self.rewards[choice], self.totals)
 
 
 def improve_along_chain(
@@ -410,29 +409,29 @@ def improve_precisely(
         Stop: the time ended.
         SolverError: a policy never leaves the process, or totals cannot be verified.
     """
-    pair_cost = weighted(rewards, weights)
+    pair_cost, offsets, last = weighted(rewards, weights), dynamics.pair_offsets, np.inf
     before: IntArray | None = None
-    last = np.inf
     for _ in range(MOST_ROUNDS):
         check_time()
         system, choice = leaving_chain(dynamics, choice, before)
-        cost = dynamics.taken(pair_cost, choice)[:, None]
+        cost = pair_cost[choice, None]
         priced = evaluate_chain(system, cost, accuracy=PRECISE)
         values, low = priced.values[:, 0], priced.low[:, 0]
-        gain, picks = dynamics.precise_gains(pair_cost, values, low)
-        gain = gain - 2.0 * float(priced.missed[0])
-        better = np.flatnonzero(gain > 0.0)
+        ahead, rounding = dynamics.moves.precise_advantages(pair_cost, values, low)
+        gain = -segment_minima(ahead + rounding, offsets) - 2.0 * float(priced.missed[0])
         work = work + Work(1, system.products)
         most = float(gain.max(initial=0.0))
         worth = 2.0 * float(priced.runs.max(initial=0.0)) * most
         least = _WORTHLESS * float(np.abs(values).max(initial=0.0))
         ended = worth <= floor or (worth <= least and most > 0.5 * last)
         last = most
-        if ended or not better.size:
-            totals = evaluate_chain(system, dynamics.taken(rewards, choice))
+        if ended or most <= 0.0:
+            totals = evaluate_chain(system, rewards[choice])
             return Settled(choice, totals.values, values, low, totals.runs, work)
-        before, choice = choice, choice.copy()
-        choice[better] = picks[better]
+        before, picks = choice, choice.copy()
+        best = first_minimisers(ahead, segment_minima(ahead, offsets), offsets)
+        picks[np.diff(offsets) > 0] = best
+        choice = np.where(gain > 0.0, picks, choice)
     raise SolverError("policy iteration does not converge, as policies repeat")
 
 

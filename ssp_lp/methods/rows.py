@@ -223,7 +223,7 @@ def rows_optimum(
 def _rows_attempts(
     stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
 ) -> Iterator[_RowsOptimum]:
-    """Yield optima on finer and finer totals, at last in twice the working precision."""
+    """Yield optima on finer and finer totals."""
     calls, work, gaps, begun = 0, Work(), list[float](), None
     while True:
         try:
@@ -239,8 +239,6 @@ def _rows_attempts(
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
         finer = None if stuck or stated.charge is None else optimum.compiled.refined(optimum.kappa)
         begun = None if finer is None or options.program else optimum.search
-        if finer is None and not (stated.precise or optimum.compiled.is_rounded or options.program):
-            finer = replace(stated, precise=True)
         if finer is None:
             return
         stated = finer

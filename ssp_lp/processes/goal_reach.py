@@ -15,11 +15,11 @@ from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, expected, read_only
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
-from ssp_lp.dynamic_programming.dynamics import approach_leaving
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.dynamic_programming.extreme_reach import ExtremeReach, attaining_pairs, extreme_reach
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP, graph
+from ssp_lp.model.graph import nearer_pairs
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.live_rows import (
@@ -213,7 +213,7 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
     dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
     gain = quotient.at_pairs(successor_means(model, model.goal_mask)) / departs
     pair_cost = quotient.at_pairs(cost_means(model, weight)) / departs
-    leaving = approach_leaving(dynamics, (quotient.pair_at == GIVE_UP_CODE) | (gain > 0))
+    leaving = nearer_pairs(dynamics.graph, (quotient.pair_at == GIVE_UP_CODE) | (gain > 0))
     missing = successor_means(model, (quotient.node_of < 0) & ~model.goal_mask)
     miss = (1.0 - survival) + survival * quotient.at_pairs(missing, 1.0) / departs
     rewards, only_cost = np.stack([pair_cost, gain, miss], axis=1), np.array([1.0, 0.0, 0.0])

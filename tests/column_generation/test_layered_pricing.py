@@ -203,7 +203,7 @@ def test_pricing_by_layers_is_pricing_on_the_process_written_out(seed):
     layered, written_out = compiled.augmented, compiled.explicit_pricing
     assert isinstance(layered, OpenEnded)
     counting = layered.counting(FailureSemantics())
-    swept = OpenEndedPricing(layered, False, tuple(row.at(counting) for row in compiled.side))
+    swept = OpenEndedPricing(layered, tuple(row.at(counting) for row in compiled.side))
     assert swept.value_shape == written_out.value_shape
     assert swept.n_rewards == written_out.n_rewards
     np.testing.assert_allclose(swept.first().figures, written_out.first().figures, rtol=1e-9)
