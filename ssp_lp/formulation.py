@@ -9,7 +9,7 @@ that solve it. The pages of ``formulations`` import from this module only.
 from __future__ import annotations
 
 import logging
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -238,7 +238,7 @@ class Formulation(Problem):
             model = unroll_steps(self.model, self.horizon, begin.tolist())
             model = replace(model, is_hidden=True)
             places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
-            return self._on(model, places).unrolled
+            return self.with_arguments(model=model, start=places, horizon=None).unrolled
         if self.model.failure_label is not None:
             return self
         asked = self.conditions, self.objective_condition, self.semantics
@@ -246,12 +246,8 @@ class Formulation(Problem):
         if label is None:
             return self
         begin = np.flatnonzero(self._begun)
-        return self._on(label, {label.states[k]: float(self._begun[k]) for k in begin.tolist()})
-
-    def _on(self, model: SSP, start: Mapping[Hashable, float], horizon: int | None = None) -> Self:
-        """Return the formulation restated on another model."""
-        on_it: dict[str, Any] = {"model": model, "start": start, "horizon": horizon}
-        return replace(self, **on_it, **as_stated(self))
+        places = {label.states[k]: float(self._begun[k]) for k in begin.tolist()}
+        return self.with_arguments(model=label, start=places)
 
     @cached_property
     def tracked(self) -> Self:
@@ -259,8 +255,7 @@ class Formulation(Problem):
 
         The horizon is unchanged; without such limits this is the formulation itself.
         """
-        stated, own = self.constraints, self.own_constraints
-        if isinstance(stated, Mapping) and not (stated or own) and self.quantity is None:
+        if not self.all_constraints and self.quantity is None:
             return self
         model, begin = self.model, cast("IntArray", np.flatnonzero(self._begun))
         shares = self._begun[begin].tolist()
@@ -272,7 +267,7 @@ class Formulation(Problem):
         if model is self.model:
             return self
         places = [model.states[k] for k in begin.tolist()]
-        return self._on(model, dict(zip(places, shares, strict=True)), self.horizon)
+        return self.with_arguments(model=model, start=dict(zip(places, shares, strict=True)))
 
     @cached_property
     def objective_condition(self) -> Condition | None:
@@ -286,15 +281,11 @@ class Formulation(Problem):
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
         """Constraints of the formulation, checked, with their costs by outcome."""
-        own, stated = self.own_constraints, self.constraints
-        if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
-            raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
-        every = {**own, **stated} if isinstance(stated, Mapping) else stated
-        if every == {}:
+        if not self.all_constraints:
             return ()
         if self.horizon is not None or self.tracked is not self:
             return self.unrolled.conditions
-        return conditions(self.model, self._begun, every)
+        return conditions(self.model, self._begun, self.all_constraints)
 
     @property
     def measure(self) -> Measure | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -106,6 +106,24 @@ class Problem(ReadOnlyCopies):
     def own_constraints(self) -> Mapping[str, Constraint]:
         """Constraints that the criterion itself has; none by default."""
         return {}
+
+    @property
+    def all_constraints(self) -> Mapping[str, Constraint]:
+        """Constraints of the criterion itself, and those that were stated in addition.
+
+        Raises:
+            ModelError: no mapping of constraints, or two constraints with the same name.
+        """
+        own, stated = self.own_constraints, self.constraints
+        if not isinstance(stated, Mapping):
+            raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {stated!r}")
+        if both := own.keys() & stated.keys():
+            raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
+        return {**own, **stated}
+
+    def with_arguments(self, **changes: Any) -> Self:
+        """Return a copy with other arguments; a budget that follows from a share stays so."""
+        return cast("Self", replace(cast("Any", self), **changes, **as_stated(self)))
 
     @property
     def tracked(self) -> Problem:
@@ -415,19 +433,11 @@ def check_measures(problem: Problem) -> None:
 
 def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
     """Return a problem's limits and its objective; entries that are not limits are left out."""
-    own, stated = problem.own_constraints, problem.constraints
-    limits = {**own, **stated} if isinstance(stated, Mapping) else own
-    asked = [(str(name), limit) for name, limit in limits.items() if isinstance(limit, Constraint)]
+    limits = problem.all_constraints.items()
+    asked = [(str(name), limit) for name, limit in limits if isinstance(limit, Constraint)]
     if isinstance(problem.quantity, Quantity):
         asked.append(("objective", Constraint(problem.quantity, upper=0.0)))
     return asked
-
-
-def restated_on(problem: Any, part: ExploredSSP) -> Problem:
-    """Return a problem on an implicit model restated on an explored part; else the problem."""
-    if part.whole is not problem.model:
-        return cast("Problem", problem)
-    return cast("Problem", replace(problem, model=part, **as_stated(problem)))
 
 
 def on_one_model(
@@ -442,19 +452,20 @@ def on_one_model(
     Raises:
         ModelError: no policy (a solution, for instance); no problem; or two models.
     """
-    if not isinstance(policy, Policy | MixedPolicy):
-        if len(attributes_of(policy, "policy", "problem")) == 2:
-            raise ModelError(f"{verb} takes a policy: pass solution.policy and its problem")
+    is_policy = isinstance(policy, Policy | MixedPolicy)
+    if not is_policy and len(attributes_of(policy, "policy", "problem")) == 2:
+        raise ModelError(f"{verb} takes a policy: pass solution.policy and its problem")
+    check_problem(problem, verb)
+    if not is_policy:
         raise ModelError(
             f"{verb} takes a policy, such as solution.policy or DeterministicPolicy.from_actions("
             f"model, {{state: action}}), not {in_short(policy)}"
         )
-    check_problem(problem, verb)
     if problem.box is not None:
         raise has_boxes(verb)
     theirs = policy.model
-    if isinstance(theirs, ExploredSSP):
-        problem = restated_on(problem, theirs)
+    if isinstance(theirs, ExploredSSP) and theirs.whole is problem.model:
+        problem = problem.with_arguments(model=theirs)
     solved = problem.unrolled
     if theirs is solved.model:
         return until_failing(as_lottery(policy)), solved

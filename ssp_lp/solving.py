@@ -78,14 +78,11 @@ def solve(
         KeyboardInterrupt: Ctrl-C came before a policy was found.
     """
     check_problem(problem, "solve")
-    if isinstance(problem.model, ImplicitSSP):
+    is_explored = isinstance(problem.model, ImplicitSSP)
+    if is_explored or problem.box is not None:
+        each = partial(solve, method=method, tolerance=tolerance, progress=progress)
         with progress_shown(verbose):
-            each = partial(solve, method=method, tolerance=tolerance, progress=progress)
-            return explore(problem, each, time_limit)
-    if problem.box is not None:
-        with progress_shown(verbose):
-            each = partial(solve, method=method, tolerance=tolerance, progress=progress)
-            return robust(problem, each, time_limit)
+            return (explore if is_explored else robust)(problem, each, time_limit)
     began, chosen = time.perf_counter(), parse_method(method)
     options = options_of(chosen, tolerance, began, time_limit, progress)
     if (refused := refusal(problem, chosen)) is not None:

@@ -34,7 +34,6 @@ from ssp_lp.methods.labelled_program import program_of
 from ssp_lp.model.report import Table
 from ssp_lp.plotting import explore, plot_cost_law, plot_frontier, plot_tornado, row_major
 from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.remembering import CompletePolicy, LabelledPolicy, RememberingPolicy
 
 from ..maxprob import MaxProb
 from ..mcmp import MCMP
@@ -410,9 +409,6 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
 _WORTH_PROCESSES = 100_000  # outcomes of a model that takes longer to solve than a process to start
 
 
-_OF_ONE_ANSWER = "policy_out", "certificate_out", "plot", "show_policy"
-
-
 def _several_answers(
     asked: Namespace, of: _CommandModel, budgets: Sequence[float | None], search: Mapping[str, Any]
 ) -> Iterable[str]:
@@ -421,8 +417,9 @@ def _several_answers(
     Raises:
         ModelError: an output that belongs to a single answer.
     """
-    for name, output in attributes_of(asked, *_OF_ONE_ANSWER).items():
-        if output:
+    outputs = attributes_of(asked, "policy_out", "certificate_out", "plot", "show_policy")
+    for name, is_asked in outputs.items():
+        if is_asked:
             raise ModelError(f"{option(name)} needs a single answer: give one --failure-budget")
     problems = [problem_of(_asking(asked, failure_budget=budget), of) for budget in budgets]
     executor = ThreadPoolExecutor(1) if of.model.n_outcomes < _WORTH_PROCESSES else None
@@ -461,16 +458,14 @@ def _check_command(asked: Namespace) -> Iterable[str]:
 def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
     """Return a command's solution as a table for other programs."""
     members = zip(solution.policy.weights.tolist(), solution.policy.policies, strict=True)
+    names = "goal_probability", "failure_probability", "conditional_cost", "expected_cost"
     return {
         "criterion": type(solution.problem).__name__,
         "objective": solution.objective,
         "lower_bound": solution.lower_bound if solution.upper_bound is None else None,
         "upper_bound": solution.upper_bound,
         "gap": solution.gap,
-        "goal_probability": solution.goal_probability,
-        "failure_probability": solution.failure_probability,
-        "conditional_cost": solution.conditional_cost,
-        "expected_cost": solution.expected_cost,
+        **attributes_of(solution, *names),
         "failure_price": solution.failure_price,
         "limits": {
             name: {"value": value, "price": solution.prices.get(name, 0.0)}
@@ -478,16 +473,13 @@ def _solution_table_of_command(solution: Solution) -> dict[str, Any]:
         },
         "ends": dict(solution.evaluation.ends),
         "policy": [{"weight": weight, **_decisions(member)} for weight, member in members],
-        "method": solution.method,
-        "seconds": solution.seconds,
-        "note": solution.note,
+        **attributes_of(solution, "method", "seconds", "note"),
     }
 
 
 def _decisions(policy: Policy) -> dict[str, Any]:
     """Return the decisions that a command prints, by state; of other policies their repr."""
-    carrying = RememberingPolicy | LabelledPolicy | CompletePolicy
-    inner = policy.inner if isinstance(policy, carrying) else policy
+    inner = attributes_of(policy, "inner").get("inner", policy)
     if not isinstance(inner, ssp_lp.DeterministicPolicy):
         return {"kind": repr(policy)}
     return {"actions": {str(state): str(action) for state, action in inner.actions().items()}}
@@ -498,13 +490,8 @@ _LISTED = 8  # actions that ``info`` names
 
 def _traced_frontier(asked: Namespace, of: _CommandModel) -> ssp_lp.Frontier:
     """Return the frontier that a command traces."""
-    return ssp_lp.trace_frontier(
-        problem_of(asked, of),
-        asked.over,
-        gap=asked.gap,
-        point_limit=asked.point_limit,
-        time_limit=asked.time_limit,
-    )
+    limits = attributes_of(asked, "gap", "point_limit", "time_limit")
+    return ssp_lp.trace_frontier(problem_of(asked, of), asked.over, **limits)
 
 
 def _explore_command(asked: Namespace) -> Iterable[str]:

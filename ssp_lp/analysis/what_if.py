@@ -201,8 +201,7 @@ class _Optimum:
         most = max(float(solved.model.costs.max(initial=0.0)), 1.0)
         size = _FIRST_CAP
         while size <= _LAST_CAP:
-            own: dict[str, Any] = {"cost_cap": size * most, **as_stated(solved)}
-            measure = _solved_in_time(cast("Problem", replace(cast("Any", solved), **own)))
+            measure = _solved_in_time(solved.with_arguments(cost_cap=size * most))
             if measure.beyond <= _BEYOND:
                 return cls(solved, _at_vertex(measure))
             size *= 2.0

@@ -27,7 +27,7 @@ from ssp_lp.options import deadline_of
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
-from ssp_lp.problem import Problem, limits_of, restated_on
+from ssp_lp.problem import Problem, limits_of
 from ssp_lp.processes.failure_semantics import GiveUp, start_distribution, survival_of
 from ssp_lp.processes.quantities import words_visited
 from ssp_lp.solution import Solution
@@ -66,7 +66,7 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
         while final is None:
             part = exploration.part(survival_of(problem.discount), may_end, charged=charged)
             left = None if time_limit is None else max(deadline.at - time.perf_counter(), 0.0)
-            solution, wanted = _answered(restated_on(problem, part), solve, left)
+            solution, wanted = _answered(problem.with_arguments(model=part), solve, left)
             rounds += 1
             size = f"{part.n_expanded:,} states explored in {rounds} rounds"
             progress = f"{size}{_bound_in_words(solution)}"
