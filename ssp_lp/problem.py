@@ -14,7 +14,7 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
-from ssp_lp.arrays import IntArray, ReadOnlyCopies, segment_ids
+from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies, read_only, segment_ids
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
     CompiledExplicit,
@@ -86,6 +86,12 @@ class Problem(ReadOnlyCopies):
     penalty: float = 0.0  # price of failing; infinite: failing is forbidden
     aim = Aim.LEAST_COST
     constraints: Mapping[str, Constraint] = MappingProxyType({})
+
+    @cached_property
+    def start_mass(self) -> FloatArray:
+        """Start of a problem as a distribution over states, read-only, [states]."""
+        mass: FloatArray = read_only(start_distribution(self.model, self.start))
+        return mass
 
     @property
     def semantics(self) -> FailureSemantics:
@@ -202,8 +208,8 @@ def resolution_of(problem: Problem) -> Resolution | None:
     # do few totals lie below the cost from which a stationary policy is optimal?
     most, facts = min(levels or MOST_SUMS, MOST_SUMS), problem.model.kept_facts
     if (key := f"{most} sums: {charge}") not in facts:
-        start = start_distribution(problem.model, problem.start)
-        horizon = CompiledArrivalCost(problem.model, start, charge).cost_horizon
+        compiled = CompiledArrivalCost(problem.model, problem.start_mass, charge)
+        horizon = compiled.cost_horizon
         facts[key] = sums_in(problem.model, horizon, most) is not None
     return Resolution(most=MOST_SUMS) if facts[key] else resolution
 
@@ -221,16 +227,14 @@ def least_failure_bound(problem: Problem) -> float | None:
     """Return the certified lower bound of every policy's failure; None: failure has a limit."""
     if problem.failure_budget is not None:
         return None
-    model, survival = problem.model, survival_of(problem.discount)
-    start = start_distribution(model, problem.start)
+    model, start, survival = problem.model, problem.start_mass, survival_of(problem.discount)
     return greatest_goal_reach(model, survival, start, last_digits=False).least_failure(start)
 
 
 def compiled_constrained(problem: Problem) -> CompiledExplicit:
     """Compile a problem with constraints: its process and its rows."""
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
-    objective, model = problem.objective_condition, problem.model
-    start = start_distribution(model, problem.start)
+    objective, model, start = problem.objective_condition, problem.model, problem.start_mass
     if (label := model.failure_label) is not None and start[~label.finite[0]].any():
         begun = start[: label.n_original]
         raise InfeasibleError(
@@ -260,10 +264,10 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArriva
         problem: the problem.
         may_sum: distinguish totals by their sums if the problem allows it.
     """
-    start = start_distribution(problem.model, problem.start)
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
     by_sums = may_sum and problem.totals is TotalScale.SUMS
-    return CompiledArrivalCost(problem.model, start, charge, problem.ratio, by_sums=by_sums)
+    asked = problem.model, problem.start_mass, charge, problem.ratio
+    return CompiledArrivalCost(*asked, by_sums=by_sums)
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,6 @@ from ssp_lp.policies.remembering import (
     RememberingPolicy,
 )
 from ssp_lp.problem import Problem
-from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.solution import Run, Solution, as_solved
 
 Array = npt.NDArray[Any]
@@ -542,7 +541,7 @@ def save_solution(solution: Solution, path: FilePath) -> None:
     problem, records, values = solution.problem, _PolicyRecords(), solution.value_function
     header = records.header(solution.policy)
     header["problem"] = _solution_words(problem)
-    header["start"] = records.add_array(start_distribution(problem.model, problem.start))
+    header["start"] = records.add_array(problem.start_mass)
     header["numbers"] = attributes_of(solution, *_NUMBERS)
     header["prices"] = {name: float(price) for name, price in solution.prices.items()}
     header["value_function"] = None if values is None else records.add_array(np.asarray(values))
@@ -608,7 +607,7 @@ def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[
             raise ModelError(
                 f"the file is of a problem with {name} = {saved!r}, this one has {stated!r}"
             )
-    if not np.array_equal(start_distribution(problem.model, problem.start), start):
+    if not np.array_equal(problem.start_mass, start):
         raise ModelError("the file is of a problem with another start")
 
 

@@ -19,7 +19,6 @@ from ssp_lp.plotting.curves import INK, LOOKS, axes_or_new, dress_axes
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem
-from ssp_lp.processes.failure_semantics import start_distribution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -140,7 +139,7 @@ def squares_of(
     If several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
     """
     model, goal = problem.model, problem.model.goal_mask
-    dead, begin = dead_ends(model) & ~goal, start_distribution(model, problem.start) > 0.0
+    dead, begin = dead_ends(model) & ~goal, problem.start_mass > 0.0
     goals, free = _distinct_cells(points[goal]), _distinct_cells(points[~dead & ~goal])
     lost = _distinct_cells(points[dead]) - free - goals
     return free - goals, lost, goals, _distinct_cells(points[begin])

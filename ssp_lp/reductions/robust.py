@@ -37,7 +37,7 @@ from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
 from ssp_lp.policies import DeterministicPolicy, Policy
 from ssp_lp.policies.boxed_chain import MOST_ROUNDS, boxed_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, start_distribution
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp
 from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
 
@@ -64,7 +64,7 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
         OutOfTimeError: the time limit passed before it converged.
     """
     began, boxes, semantics = time.perf_counter(), problem.box, problem.semantics
-    start, goal = start_distribution(problem.model, problem.start), problem.model.goal_mask
+    start, goal = problem.start_mass, problem.model.goal_mask
     with limited(time_limit, "the worst probabilities were settled"):
         losing = _losing(boxes, goal)[0] if semantics.forbids_failing else None
         if losing is not None and (lost := (start > 0.0) & (losing > 0)).any():
