@@ -46,10 +46,10 @@ class CostBudgetedMaxProb(Formulation):
         giving up is allowed:
 
         - "attention" (the paper's stopping time, the default): where the goal can be avoided
-        surely. - "dead_ends": nowhere, so that runs pay until they end in the goal or a dead-end,
-        and policies
-          that pay for ever are excluded (constrained Markov decision processes, and multi-objective
-          model checking).
+          surely.
+        - "dead_ends": nowhere, so that runs pay until they end in the goal or a dead-end, and
+          policies that pay for ever are excluded (constrained Markov decision processes, and
+          multi-objective model checking).
         - "anywhere": in every state, at no cost (flows may vanish in any state), so that no budget
           is too small.
 

@@ -285,7 +285,7 @@ def _answers_to(
     if not asked:
         return ()
 
-    def come(place: int, answer: Answer) -> None:
+    def record(place: int, answer: Answer) -> None:
         """Store an answer, and report it."""
         answers[place], done = answer, len(answers) + 1
         _LOG.debug("%d of %d", done, len(asked), extra={"share": done / len(asked)})
@@ -304,14 +304,14 @@ def _answers_to(
                 try:
                     packed[place] = cargo.pack(problem)
                 except ModelError as error:
-                    come(place, error)
+                    record(place, error)
             mean = sum(map(len, packed.values())) // max(len(packed), 1)
             told = "%d problems of %d bytes on average, models of %d bytes in all, %s"
             _LOG.info(told, len(asked), mean, file.tell(), crew)
-            late = crew.collect(packed, come)
+            late = crew.collect(packed, record)
         for place in range(len(asked)):
             if place not in answers:
-                come(place, late)
+                record(place, late)
     return tuple(answers[place] for place in range(len(asked)))
 
 
@@ -366,9 +366,9 @@ class _Crew:
         self._packed: Mapping[int, bytes] = {}
         self._waiting, self._suspects = deque[int](), deque[int]()
         self._deaths = Counter[int]()  # of workers that had the problem in hand, by its place
-        self._blind: set[int] = set()  # places of problems for workers that cannot read the file
-        self._flying: dict[Future[bytes | None], int] = {}
-        self._back: SimpleQueue[Future[bytes | None]] = SimpleQueue()
+        self._without_file: set[int] = set()  # places of problems: workers cannot read the file
+        self._running: dict[Future[bytes | None], int] = {}
+        self._finished: SimpleQueue[Future[bytes | None]] = SimpleQueue()
 
     def __enter__(self) -> _Crew:
         """Return the crew itself."""
@@ -386,12 +386,14 @@ class _Crew:
         """Return the number of processes, or the class of the executor."""
         return f"{self._count} processes" if self._is_own else type(self._executor).__name__
 
-    def collect(self, packed: Mapping[int, bytes], come: Callable[[int, Answer], None]) -> SSPError:
+    def collect(
+        self, packed: Mapping[int, bytes], record: Callable[[int, Answer], None]
+    ) -> SSPError:
         """Send out the problems and report answers until all have arrived or the call must end.
 
         Args:
             packed: place -> problem.
-            come: called with each place and its answer.
+            record: called with each place and its answer.
 
         Returns:
             The error that answers each problem without an answer.
@@ -403,19 +405,19 @@ class _Crew:
         self._waiting.extend(packed)
         try:
             while missing:
-                self._give_out()
-                if self._is_broken and not self._flying:
-                    if self._is_own and self._starts_anew():
+                self._submit_problems()
+                if self._is_broken and not self._running:
+                    if self._is_own and self._restart():
                         continue
                     if missing == len(packed):
                         raise self._error
                     return self._error
                 left = self._order.ends + _LATE - time.time()
-                future = self._back.get(timeout=max(left, 0.0) if isfinite(left) else None)
-                place = self._flying.pop(future)
-                if (answer := self._brought(place, future)) is not None:
+                future = self._finished.get(timeout=max(left, 0.0) if isfinite(left) else None)
+                place = self._running.pop(future)
+                if (answer := self._answer_of(place, future)) is not None:
                     missing -= 1
-                    come(place, answer)
+                    record(place, answer)
         except Empty:
             self._end()
         except KeyboardInterrupt:
@@ -425,22 +427,22 @@ class _Crew:
 
     def _end(self) -> None:
         """End the built-in processes at once; another executor finishes what it has begun."""
-        for future in self._flying:
+        for future in self._running:
             future.cancel()
         if self._is_own:
             self._is_broken = True
             self._executor.shutdown(kill_workers=True)
 
-    def _give_out(self) -> None:
+    def _submit_problems(self) -> None:
         """Send the crew as many problems as it has room for; suspects of a crash are sent alone."""
-        flying = self._flying
+        running = self._running
         while not self._is_broken:
-            alone = bool(self._suspects) or any(self._deaths[place] for place in flying.values())
+            alone = bool(self._suspects) or any(self._deaths[place] for place in running.values())
             queue = self._suspects or self._waiting
-            if not queue or len(flying) >= (1 if alone else self._room):
+            if not queue or len(running) >= (1 if alone else self._room):
                 return
             place, shipment = queue.popleft(), self._shipment
-            if place in self._blind:
+            if place in self._without_file:
                 shipment = replace(shipment, content=Path(shipment.path).read_bytes())
             try:
                 future = self._executor.submit(_answer, shipment, self._packed[place], self._order)
@@ -448,10 +450,10 @@ class _Crew:
                 queue.appendleft(place)
                 self._is_broken = True
                 return
-            flying[future] = place
-            future.add_done_callback(self._back.put)
+            running[future] = place
+            future.add_done_callback(self._finished.put)
 
-    def _brought(self, place: int, future: Future[bytes | None]) -> Answer | None:
+    def _answer_of(self, place: int, future: Future[bytes | None]) -> Answer | None:
         """Return the answer that came back from the crew; None: send the problem again."""
         error = CancelledError() if future.cancelled() else future.exception()
         if isinstance(error, BrokenExecutor):
@@ -468,13 +470,13 @@ class _Crew:
         if (packed := future.result()) is not None:
             answer: Answer = self._cargo.unpack(packed)
             return answer
-        if place in self._blind:
+        if place in self._without_file:
             return SolverError("the worker could not read the models that were sent to it")
-        self._blind.add(place)
+        self._without_file.add(place)
         self._waiting.appendleft(place)
         return None
 
-    def _starts_anew(self) -> bool:
+    def _restart(self) -> bool:
         """Replace the processes after one died; return whether the new ones start."""
         self._executor = self._new_pool()
         try:

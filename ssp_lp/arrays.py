@@ -21,7 +21,7 @@ PROBABILITY_SUM: Final = 1e-9
 """Largest deviation from 1 of a sum of probabilities that is divided out; beyond it, an error."""
 
 SINGLE_PRECISION_SUM: Final = 1e-5
-"""As ``PROBABILITY_TOLERANCE``, where normalisation is requested: float32 or few digits."""
+"""As ``PROBABILITY_SUM``, where normalisation is requested: float32 or few digits."""
 
 MAXIMISER: Final = 1e-12
 """Relative distance to the best goal probability within which an action still counts as maximising.
@@ -282,12 +282,6 @@ def exact_product(a: Any, b: Any) -> tuple[Any, Any]:
 
 CHUNK = 1 << 22
 """Number of entries processed at a time: scratch arrays of some 32 MB."""
-
-
-def chunks(length: int) -> Iterator[slice]:
-    """Yield the slices of at most ``CHUNK`` entries that cover ``0 .. length - 1`` in turn."""
-    for begin in range(0, length, CHUNK):
-        yield slice(begin, min(begin + CHUNK, length))
 
 
 def segment_chunks(offsets: IntArray) -> Iterator[slice]:

@@ -9,7 +9,7 @@ that solve it. The pages of ``formulations`` import from this module only.
 from __future__ import annotations
 
 import logging
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -25,7 +25,7 @@ from ssp_lp.accumulated_cost.charges import (
     Utility as Utility,
     WithinBound as WithinBound,
 )
-from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.arrays import IntArray
 from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
     CompiledExplicit,
@@ -75,7 +75,6 @@ from ssp_lp.processes.failure_semantics import (
     check_failure_setting,
     check_penalty as check_penalty,
     parse_give_up,
-    start_distribution,
 )
 from ssp_lp.processes.past_failing import labelled_past_failing
 from ssp_lp.processes.quantities import (
@@ -202,7 +201,7 @@ class Formulation(Problem):
                 raise ModelError("boxes need the whole model: build it by SSP.from_successors(...)")
             check_explorable(self)
             return  # states and their names are looked up as they are found
-        _ = self._begun
+        _ = self.start_mass
         for name, number in (("horizon", self.horizon), ("cost_levels", self.cost_levels)):
             if number is not None:
                 check_whole(name, number)
@@ -234,24 +233,20 @@ class Formulation(Problem):
         if self.tracked is not self:
             return self.tracked.unrolled
         if self.horizon is not None:
-            start, begin = self._begun, np.flatnonzero(self._begun)
+            start, begin = self.start_mass, np.flatnonzero(self.start_mass)
             model = unroll_steps(self.model, self.horizon, begin.tolist())
             model = replace(model, is_hidden=True)
             places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
-            return self._on(model, places).unrolled
+            return self.with_arguments(model=model, start=places, horizon=None).unrolled
         if self.model.failure_label is not None:
             return self
         asked = self.conditions, self.objective_condition, self.semantics
         label = labelled_past_failing(self.model, *asked, ratio=self.ratio, discount=self.discount)
         if label is None:
             return self
-        begin = np.flatnonzero(self._begun)
-        return self._on(label, {label.states[k]: float(self._begun[k]) for k in begin.tolist()})
-
-    def _on(self, model: SSP, start: Mapping[Hashable, float], horizon: int | None = None) -> Self:
-        """Return the formulation restated on another model."""
-        on_it: dict[str, Any] = {"model": model, "start": start, "horizon": horizon}
-        return replace(self, **on_it, **as_stated(self))
+        begin = np.flatnonzero(self.start_mass)
+        places = {label.states[k]: float(self.start_mass[k]) for k in begin.tolist()}
+        return self.with_arguments(model=label, start=places)
 
     @cached_property
     def tracked(self) -> Self:
@@ -259,11 +254,10 @@ class Formulation(Problem):
 
         The horizon is unchanged; without such limits this is the formulation itself.
         """
-        stated, own = self.constraints, self.own_constraints
-        if isinstance(stated, Mapping) and not (stated or own) and self.quantity is None:
+        if not self.all_constraints and self.quantity is None:
             return self
-        model, begin = self.model, cast("IntArray", np.flatnonzero(self._begun))
-        shares = self._begun[begin].tolist()
+        model, begin = self.model, cast("IntArray", np.flatnonzero(self.start_mass))
+        shares = self.start_mass[begin].tolist()
         for followed in followed_by(limit for _, limit in limits_of(self)):
             if followed_in(model, followed) is None:
                 automaton = followed.automaton(model)
@@ -272,7 +266,7 @@ class Formulation(Problem):
         if model is self.model:
             return self
         places = [model.states[k] for k in begin.tolist()]
-        return self._on(model, dict(zip(places, shares, strict=True)), self.horizon)
+        return self.with_arguments(model=model, start=dict(zip(places, shares, strict=True)))
 
     @cached_property
     def objective_condition(self) -> Condition | None:
@@ -281,20 +275,16 @@ class Formulation(Problem):
             return None
         if self.horizon is not None or self.tracked is not self:
             return self.unrolled.objective_condition
-        return objective_of(self.model, self._begun, self.quantity)
+        return objective_of(self.model, self.start_mass, self.quantity)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
         """Constraints of the formulation, checked, with their costs by outcome."""
-        own, stated = self.own_constraints, self.constraints
-        if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
-            raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
-        every = {**own, **stated} if isinstance(stated, Mapping) else stated
-        if every == {}:
+        if not self.all_constraints:
             return ()
         if self.horizon is not None or self.tracked is not self:
             return self.unrolled.conditions
-        return conditions(self.model, self._begun, every)
+        return conditions(self.model, self.start_mass, self.all_constraints)
 
     @property
     def measure(self) -> Measure | None:
@@ -315,12 +305,6 @@ class Formulation(Problem):
         give_up, charged = GiveUp(str(self.give_up)), bool(self.charge_failing_step)
         return FailureSemantics(give_up, charged, float(self.penalty), self.aim, self.measure)
 
-    @cached_property
-    def _begun(self) -> FloatArray:
-        """Start of the formulation as a distribution, [states]."""
-        start: FloatArray = read_only(start_distribution(self.model, self.start))
-        return start
-
     def compile(self) -> CompiledProblem:
         """Return the compiled problem of a formulation: its augmented process, ready for a method.
 
@@ -332,7 +316,7 @@ class Formulation(Problem):
             raise has_boxes("compile")
         if self.horizon is not None:
             return self.unrolled.compile()
-        model, start, semantics = self.model, self._begun, self.semantics
+        model, start, semantics = self.model, self.start_mass, self.semantics
         _COMPILING.info("%r", self)
         if semantics.counts_law or self.totals is TotalScale.SUMS:
             return compiled_totals(self)

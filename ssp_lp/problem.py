@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
-from ssp_lp.arrays import IntArray, ReadOnlyCopies, segment_ids
+from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies, read_only, segment_ids
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
     CompiledExplicit,
@@ -87,6 +87,12 @@ class Problem(ReadOnlyCopies):
     aim = Aim.LEAST_COST
     constraints: Mapping[str, Constraint] = MappingProxyType({})
 
+    @cached_property
+    def start_mass(self) -> FloatArray:
+        """Start of a problem as a distribution over states, read-only, [states]."""
+        mass: FloatArray = read_only(start_distribution(self.model, self.start))
+        return mass
+
     @property
     def semantics(self) -> FailureSemantics:
         """Worth of an episode: which cost counts and what failing costs."""
@@ -106,6 +112,24 @@ class Problem(ReadOnlyCopies):
     def own_constraints(self) -> Mapping[str, Constraint]:
         """Constraints that the criterion itself has; none by default."""
         return {}
+
+    @property
+    def all_constraints(self) -> Mapping[str, Constraint]:
+        """Constraints of the criterion itself, and those that were stated in addition.
+
+        Raises:
+            ModelError: no mapping of constraints, or two constraints with the same name.
+        """
+        own, stated = self.own_constraints, self.constraints
+        if not isinstance(stated, Mapping):
+            raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {stated!r}")
+        if both := own.keys() & stated.keys():
+            raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
+        return {**own, **stated}
+
+    def with_arguments(self, **changes: Any) -> Self:
+        """Return a copy with other arguments; a budget that follows from a share stays so."""
+        return cast("Self", replace(cast("Any", self), **changes, **as_stated(self)))
 
     @property
     def tracked(self) -> Problem:
@@ -184,8 +208,8 @@ def resolution_of(problem: Problem) -> Resolution | None:
     # do few totals lie below the cost from which a stationary policy is optimal?
     most, facts = min(levels or MOST_SUMS, MOST_SUMS), problem.model.kept_facts
     if (key := f"{most} sums: {charge}") not in facts:
-        start = start_distribution(problem.model, problem.start)
-        horizon = CompiledArrivalCost(problem.model, start, charge).cost_horizon
+        compiled = CompiledArrivalCost(problem.model, problem.start_mass, charge)
+        horizon = compiled.cost_horizon
         facts[key] = sums_in(problem.model, horizon, most) is not None
     return Resolution(most=MOST_SUMS) if facts[key] else resolution
 
@@ -203,16 +227,14 @@ def least_failure_bound(problem: Problem) -> float | None:
     """Return the certified lower bound of every policy's failure; None: failure has a limit."""
     if problem.failure_budget is not None:
         return None
-    model, survival = problem.model, survival_of(problem.discount)
-    start = start_distribution(model, problem.start)
+    model, start, survival = problem.model, problem.start_mass, survival_of(problem.discount)
     return greatest_goal_reach(model, survival, start, last_digits=False).least_failure(start)
 
 
 def compiled_constrained(problem: Problem) -> CompiledExplicit:
     """Compile a problem with constraints: its process and its rows."""
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
-    objective, model = problem.objective_condition, problem.model
-    start = start_distribution(model, problem.start)
+    objective, model, start = problem.objective_condition, problem.model, problem.start_mass
     if (label := model.failure_label) is not None and start[~label.finite[0]].any():
         begun = start[: label.n_original]
         raise InfeasibleError(
@@ -242,10 +264,10 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArriva
         problem: the problem.
         may_sum: distinguish totals by their sums if the problem allows it.
     """
-    start = start_distribution(problem.model, problem.start)
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
     by_sums = may_sum and problem.totals is TotalScale.SUMS
-    return CompiledArrivalCost(problem.model, start, charge, problem.ratio, by_sums=by_sums)
+    asked = problem.model, problem.start_mass, charge, problem.ratio
+    return CompiledArrivalCost(*asked, by_sums=by_sums)
 
 
 @dataclass(frozen=True, eq=False)
@@ -415,19 +437,11 @@ def check_measures(problem: Problem) -> None:
 
 def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
     """Return a problem's limits and its objective; entries that are not limits are left out."""
-    own, stated = problem.own_constraints, problem.constraints
-    limits = {**own, **stated} if isinstance(stated, Mapping) else own
-    asked = [(str(name), limit) for name, limit in limits.items() if isinstance(limit, Constraint)]
+    limits = problem.all_constraints.items()
+    asked = [(str(name), limit) for name, limit in limits if isinstance(limit, Constraint)]
     if isinstance(problem.quantity, Quantity):
         asked.append(("objective", Constraint(problem.quantity, upper=0.0)))
     return asked
-
-
-def restated_on(problem: Any, part: ExploredSSP) -> Problem:
-    """Return a problem on an implicit model restated on an explored part; else the problem."""
-    if part.whole is not problem.model:
-        return cast("Problem", problem)
-    return cast("Problem", replace(problem, model=part, **as_stated(problem)))
 
 
 def on_one_model(
@@ -442,19 +456,20 @@ def on_one_model(
     Raises:
         ModelError: no policy (a solution, for instance); no problem; or two models.
     """
-    if not isinstance(policy, Policy | MixedPolicy):
-        if len(attributes_of(policy, "policy", "problem")) == 2:
-            raise ModelError(f"{verb} takes a policy: pass solution.policy and its problem")
+    is_policy = isinstance(policy, Policy | MixedPolicy)
+    if not is_policy and len(attributes_of(policy, "policy", "problem")) == 2:
+        raise ModelError(f"{verb} takes a policy: pass solution.policy and its problem")
+    check_problem(problem, verb)
+    if not is_policy:
         raise ModelError(
             f"{verb} takes a policy, such as solution.policy or DeterministicPolicy.from_actions("
             f"model, {{state: action}}), not {in_short(policy)}"
         )
-    check_problem(problem, verb)
     if problem.box is not None:
         raise has_boxes(verb)
     theirs = policy.model
-    if isinstance(theirs, ExploredSSP):
-        problem = restated_on(problem, theirs)
+    if isinstance(theirs, ExploredSSP) and theirs.whole is problem.model:
+        problem = problem.with_arguments(model=theirs)
     solved = problem.unrolled
     if theirs is solved.model:
         return until_failing(as_lottery(policy)), solved

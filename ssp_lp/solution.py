@@ -43,7 +43,6 @@ from ssp_lp.processes.failure_semantics import (
     GiveUp,
     GoalShare,
     ObjectiveSense,
-    start_distribution,
 )
 from ssp_lp.processes.past_failing import labelled_past_failing
 from ssp_lp.processes.quantities import Quantity, objective_of
@@ -139,8 +138,7 @@ class Solution(Facts, ReadOnlyCopies):
         Raises:
             ModelError: the policy is of a class whose memory is not known.
         """
-        start = start_distribution(self.problem.model, self.problem.start)
-        return reached_table(self.policy, start)
+        return reached_table(self.policy, self.problem.start_mass)
 
     @explained
     def explain(self, state: Hashable, cost_paid: float | None = None) -> Explanation:

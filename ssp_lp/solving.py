@@ -32,7 +32,7 @@ from ssp_lp.options import (
 )
 from ssp_lp.problem import Problem, check_problem, least_failure_bound, pulled_back
 from ssp_lp.processes.conditions import Condition
-from ssp_lp.processes.failure_semantics import GiveUp, goal_out_of_reach, start_distribution
+from ssp_lp.processes.failure_semantics import GiveUp, goal_out_of_reach
 from ssp_lp.reductions.exploration import explore
 from ssp_lp.reductions.robust import robust
 from ssp_lp.solution import Solution
@@ -78,14 +78,11 @@ def solve(
         KeyboardInterrupt: Ctrl-C came before a policy was found.
     """
     check_problem(problem, "solve")
-    if isinstance(problem.model, ImplicitSSP):
+    is_explored = isinstance(problem.model, ImplicitSSP)
+    if is_explored or problem.box is not None:
+        each = partial(solve, method=method, tolerance=tolerance, progress=progress)
         with progress_shown(verbose):
-            each = partial(solve, method=method, tolerance=tolerance, progress=progress)
-            return explore(problem, each, time_limit)
-    if problem.box is not None:
-        with progress_shown(verbose):
-            each = partial(solve, method=method, tolerance=tolerance, progress=progress)
-            return robust(problem, each, time_limit)
+            return (explore if is_explored else robust)(problem, each, time_limit)
     began, chosen = time.perf_counter(), parse_method(method)
     options = options_of(chosen, tolerance, began, time_limit, progress)
     if (refused := refusal(problem, chosen)) is not None:
@@ -141,7 +138,7 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
     _PROOF.info("bound %.9g, relative gap %.1e", bound, solution.gap)
     note, tolerance = solution.note, options.tolerance
     if solution.budget_used >= 1.0:
-        far = goal_out_of_reach(inner.model, start_distribution(inner.model, inner.start))
+        far = goal_out_of_reach(inner.model, inner.start_mass)
         note = "; ".join(filter(None, [far, note]))
     if solution.least_failure_bound is not None and solution.failure_gap > PROVED_OF_MANY:
         shown = f"{solution.failure_gap:.1e}: some policy may fail less than this one"

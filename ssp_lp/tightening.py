@@ -28,7 +28,7 @@ from ssp_lp.policies import DeterministicPolicy, MixedPolicy, Policy
 from ssp_lp.policies.boxed_chain import MOST_ROUNDS
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import Problem, check_boxed, check_problem
-from ssp_lp.processes.failure_semantics import Aim, start_distribution
+from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.reductions.robust import completed, ending, settled, solved_at
 from ssp_lp.solving import solve
 
@@ -183,7 +183,7 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
     """
     budget, ends = problem.failure_budget, ending(box, problem.semantics)[0]
     loss, decision, *_ = settled(box, replace(problem.semantics, aim=Aim.GREATEST_GOAL))
-    least = float(start_distribution(problem.model, problem.start) @ loss)
+    least = float(problem.start_mass @ loss)
     if budget is not None and least > budget + LEAST_BUDGET:
         raise InfeasibleError(
             f"every policy fails with probability {least:.6g} at some probabilities in the boxes, "

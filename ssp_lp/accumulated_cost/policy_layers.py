@@ -25,13 +25,12 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
-    chunks,
     concatenated_ranges,
     offsets_of,
     read_only,
 )
 from ssp_lp.compiled.accelerator import accelerated, with_twin
-from ssp_lp.compiled.deadline import backward, check_time
+from ssp_lp.compiled.deadline import backward, check_time, pieces
 from ssp_lp.dynamic_programming.equations import System, strong_components
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
@@ -120,7 +119,7 @@ class LayerMoves:
         if len(costs) == 1:
             return _NO_CLASSES
         result = np.empty(model.n_outcomes, dtype=np.min_scalar_type(len(costs)))
-        for some in chunks(model.n_outcomes):
+        for some in pieces(model.n_outcomes, model.n_outcomes):
             result[some] = np.searchsorted(costs, model.costs[some])
         return result
 

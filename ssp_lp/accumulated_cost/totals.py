@@ -24,7 +24,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, chunks, concatenated_ranges, read_only
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, concatenated_ranges, read_only
+from ssp_lp.compiled.deadline import pieces
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, kept
@@ -142,7 +143,7 @@ class StepClasses:
             ahead = np.broadcast_to(np.int32(least), (model.n_outcomes,))
             return cls(unit, ahead, least + 1, least)
         ahead = np.zeros(model.n_outcomes, dtype=np.int32)
-        for some in chunks(model.n_outcomes if costs.size else 0):
+        for some in pieces(model.n_outcomes if costs.size else 0, model.n_outcomes):
             place = np.minimum(np.searchsorted(costs, model.costs[some]), costs.size - 1)
             ahead[some] = np.where(_is_counted(model, counted, some), classes[place], 0)
         return cls(unit, ahead, int(classes.max(initial=0)) + 1, least)
@@ -156,7 +157,7 @@ def _is_counted(model: SSP, counted: BoolArray, some: slice) -> BoolArray:
 def _costs_into(model: SSP, counted: BoolArray) -> FloatArray:
     """Return the distinct costs of the steps into counted states, increasing."""
     same, costs = uniform_cost(model), [np.zeros(0)]
-    for some in chunks(model.n_outcomes):
+    for some in pieces(model.n_outcomes, model.n_outcomes):
         is_counted = _is_counted(model, counted, some)
         if same is None:
             costs.append(np.unique(model.costs[some][is_counted]))

@@ -41,7 +41,6 @@ from ssp_lp.processes.failure_semantics import (
     dead_end_charges,
     free_pairs,
     give_up_charges,
-    start_distribution,
     survival_of,
 )
 from ssp_lp.processes.live_rows import cost_means, costless_pairs
@@ -158,7 +157,7 @@ def evaluate_each(
         ModelError: as in :func:`evaluate`.
     """
     lottery, problem = on_one_model(policy, problem, "evaluate")
-    start = start_distribution(problem.model, problem.start)
+    start = problem.start_mass
     semantics = problem.semantics
     members, chains = [], []
     for member, weight in zip(lottery.policies, lottery.weights, strict=True):
@@ -219,7 +218,7 @@ def _law_chains(
     lottery: MixedPolicy, problem: Problem, *, soon: bool = False
 ) -> list[tuple[Chain, Chain]]:
     """Return chains of a lottery's members with their cost laws: true, and as the members count."""
-    start = start_distribution(problem.model, problem.start)
+    start = problem.start_mass
     return [
         chains_of_law(problem.model, member, start, soon=soon)
         for weight, member in lottery.weighted
@@ -396,7 +395,7 @@ def giving_up_in_words(
         share: probability of giving up.
         most_nodes: greatest size of a member's chain in which the place is sought.
     """
-    at_start, start = 0.0, start_distribution(problem.model, problem.start)
+    at_start, start = 0.0, problem.start_mass
     states = np.flatnonzero((start > 0.0) & (np.diff(problem.model.pair_offsets) > 0))
     for weight, member in policy.weighted:
         memory = member.start_memory(states)
@@ -426,7 +425,7 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
         ModelError: the policy is for another model, or may wander for ever.
     """
     lottery, solved = on_one_model(policy, problem, "pair_visits")
-    model, start = solved.model, start_distribution(solved.model, solved.start)
+    model, start = solved.model, solved.start_mass
     pairs, gave_up = np.zeros(model.n_pairs), np.zeros(model.n_states)
     for member, weight in zip(lottery.policies, lottery.weights, strict=True):
         chain = policy_chain(model, member, start)
@@ -456,7 +455,7 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
         ModelError: a member may wander for ever, or is of a class with unknown memory.
     """
     policy, problem = on_one_model(policy, problem, "equivalent_randomised_policy")
-    model, start = problem.model, start_distribution(problem.model, problem.start)
+    model, start = problem.model, problem.start_mass
     survival = survival_of(problem.discount)
     keepers = common_memory(policy)
     keys, pairs, flows = [], [], []
@@ -697,7 +696,7 @@ def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, Int
     if model.failure_label is None and policy.layers() is not None and not _asks_for_ends(problem):
         (stopping,) = giving_up_where_lost(as_lottery(policy)).policies
         return lambda states, memory: stopping.branches(states, memory).pair == GIVE_UP_CODE
-    chain = policy_chain(model, policy, start_distribution(model, problem.start))
+    chain = policy_chain(model, policy, problem.start_mass)
     lost = lost_nodes(chain, problem, declared=policy.declares_failing)
     keys = (chain.memory * model.n_states + chain.state)[lost]
     return lambda states, memory: np.isin(memory * model.n_states + states, keys)

@@ -39,7 +39,7 @@ from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem, on_one_model
-from ssp_lp.processes.failure_semantics import GiveUp, as_percentage, start_distribution
+from ssp_lp.processes.failure_semantics import GiveUp, as_percentage
 
 
 class Estimate(NamedTuple):
@@ -358,7 +358,7 @@ def simulate(
         simulator.check_model(problem.model)
     asked = solved if isinstance(problem.model, ImplicitSSP) else problem
     if simulator is None:
-        simulator = ModelSimulator(asked.model, start_distribution(asked.model, asked.start))
+        simulator = ModelSimulator(asked.model, asked.start_mass)
     simulator = _on_products(simulator, solved.model, asked.model)
     source, limits = generator_of(seed), (max_steps, record)
     with progress_shown(verbose):

@@ -47,7 +47,6 @@ from ssp_lp.processes.failure_semantics import (
     Aim,
     GiveUp,
     dead_end_charges,
-    start_distribution,
     survival_of,
 )
 from ssp_lp.processes.live_rows import cost_means, costless_pairs
@@ -101,7 +100,7 @@ class Change:
         if self.probabilities or self.costs:
             stated["model"] = problem.model.with_moves(self.probabilities, self.costs, step)
         if self.start:
-            start = start_distribution(problem.model, problem.start).copy()
+            start = problem.start_mass.copy()
             for state, slope in self.start.items():
                 start[state] += step * slope
             used = np.flatnonzero(start).tolist()
@@ -121,7 +120,7 @@ class Change:
     def most(self, problem: Problem, sign: float) -> float:
         """Return the greatest step in a direction that keeps every number at least 0."""
         costs = problem.model.costs_by_name
-        start = start_distribution(problem.model, problem.start) if self.start else np.zeros(0)
+        start = problem.start_mass if self.start else np.zeros(0)
         at = [
             *((problem.model.probabilities[k], slope) for k, slope in self.probabilities.items()),
             *((costs[name][k], slope) for (name, k), slope in self.costs.items()),
@@ -201,8 +200,7 @@ class _Optimum:
         most = max(float(solved.model.costs.max(initial=0.0)), 1.0)
         size = _FIRST_CAP
         while size <= _LAST_CAP:
-            own: dict[str, Any] = {"cost_cap": size * most, **as_stated(solved)}
-            measure = _solved_in_time(cast("Problem", replace(cast("Any", solved), **own)))
+            measure = _solved_in_time(solved.with_arguments(cost_cap=size * most))
             if measure.beyond <= _BEYOND:
                 return cls(solved, _at_vertex(measure))
             size *= 2.0
@@ -413,7 +411,7 @@ class _Optimum:
         column, outcome, _, _ = self.outcomes
         often = survival * self.measure.visits[column] * model.probabilities[outcome]
         lost = np.bincount(model.successors[outcome], often, model.n_states).astype(np.float64)
-        lost = lost * quotient.dead + start_distribution(model, self.problem.start) * quotient.dead
+        lost = lost * quotient.dead + self.problem.start_mass * quotient.dead
         gives_up = np.flatnonzero(program.augmented.gives_up)
         merged = quotient.merged if program.reduced is None else (
             program.reduced.program.augmented.quotient.merged)  # fmt: skip
@@ -783,7 +781,7 @@ def _numbers(problem: Problem, optimum: _Optimum) -> Iterator[Number]:
     for name, limit in problem.constraints.items():
         at = limit.lower if limit.upper is None else limit.upper
         yield Number("bound", f"limit {name!r}", at, Change(bounds={name: 1.0}))
-    start = start_distribution(model, problem.start)
+    start = problem.start_mass
     for state in np.flatnonzero(start).tolist() if (start > 0.0).sum() > 1 else ():
         change = Change(start=_in_proportion(start, [*np.flatnonzero(start)], state))
         name, at = f"start in {model.states[state]}", float(start[state])

@@ -22,7 +22,6 @@ from ssp_lp.processes.failure_semantics import (
     GiveUp,
     dead_end_charges,
     give_up_charges,
-    start_distribution,
 )
 from ssp_lp.processes.live_rows import costless_pairs
 
@@ -97,7 +96,7 @@ def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> 
         restated = (replace(cast("Any", one), model=problem.model) for one in lottery.policies)
         lottery = MixedPolicy(tuple(restated), lottery.weights)
     lottery, problem = on_one_model(lottery, problem, "evaluate")
-    start = start_distribution(problem.model, problem.start)
+    start = problem.start_mass
     weights, members = zip(*((w, one) for w, one in lottery.weighted if w > 0.0), strict=True)
     chains = [boxed_chain(boxes, one, start) for one in members]
     measures = [_measures(boxed, problem, boxes) for boxed in chains]

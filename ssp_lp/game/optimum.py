@@ -36,7 +36,7 @@ from ssp_lp.model.report import Facts, Table
 from ssp_lp.options import Progress, check_tail
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
-from ssp_lp.processes.failure_semantics import goal_out_of_reach, start_distribution
+from ssp_lp.processes.failure_semantics import goal_out_of_reach
 from ssp_lp.processes.goal_reach import max_goal_probability
 
 _MOST_ROUNDS = 100  # most games, and most responses in a row
@@ -253,7 +253,7 @@ def check_budget(
     if discounted <= budget + LEAST_BUDGET:
         return
     problem = problem.unrolled
-    start = start_distribution(problem.model, problem.start)
+    start = problem.start_mass
     real = max(1.0 - float(start @ max_goal_probability(problem.model)), 0.0)
     if goal_out_of_reach(problem.model, start):
         setting = problem.model, start, budget, problem.discount
@@ -278,7 +278,7 @@ def construct(kind: type[Player], problem: Problem, tail: float | None = None) -
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
     discount, problem = checked_setting(problem)[1], problem.unrolled
-    model, start = problem.model, start_distribution(problem.model, problem.start)
+    model, start = problem.model, problem.start_mass
     if not problem.ratio:
         later = 1.0 if kind is BayesPlayer else discount
         base, paid = label_process(model, start, problem.semantics, discount, later=later)

@@ -46,7 +46,6 @@ from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
     ObjectiveSense,
-    start_distribution,
 )
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.solution import Answer, Run, Solution, assembled, remarks
@@ -161,7 +160,7 @@ def best_within_budget(
 def prove_goal(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove an upper or lower bound of the goal probability."""
     problem = solution.problem
-    start = start_distribution(problem.model, problem.start)
+    start = problem.start_mass
     reach = extreme_goal_reach(problem.model, problem.semantics.aim, start)
     return Proved(evaluation.objective, float(start @ reach.bound), 1.0)
 

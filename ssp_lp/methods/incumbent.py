@@ -39,7 +39,6 @@ from ssp_lp.processes.failure_semantics import (
     RARE_GOAL,
     GoalShare,
     ObjectiveSense,
-    start_distribution,
 )
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
@@ -116,7 +115,7 @@ class Incumbent:
             at_least_failure: among the policies of least failure.
         """
         model, budget = problem.model, problem.failure_budget
-        start = start_distribution(model, problem.start)
+        start = problem.start_mass
         semantics = replace(problem.semantics, measure=None)
         budget = None if at_least_failure else budget
         side = tuple(row for condition in problem.conditions for row in condition.rows)
@@ -178,7 +177,7 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
     model, semantics, risk = problem.model, problem.semantics, problem.semantics.risk
     asked = problem.start, True, problem.failure_budget, replace(semantics, measure=None)
     evaluation = evaluate(policy, Restated(model, *asked, problem.conditions))
-    start, squares = start_distribution(model, problem.start), 0.0
+    start, squares = problem.start_mass, 0.0
     for member, weight in zip(policy.policies, policy.weights.tolist(), strict=True):
         chain = policy_chain(model, member, start)
         goal_ahead, cost_ahead = chain.arriving()
@@ -250,7 +249,7 @@ def worth_bound(problem: Problem) -> float:
         problem: a problem with a cost given success, or a measure of its law.
     """
     model, semantics = problem.model, problem.semantics
-    start = start_distribution(model, problem.start)
+    start = problem.start_mass
     # the least cost of a way from the start to the goal; 0 if there is none
     begins = np.asarray(model.outcome_offsets)[model.pair_offsets].astype(np.int32)
     ways = model.costs, model.successors.astype(np.int32), begins

@@ -71,7 +71,6 @@ from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, Restated, TotalScale, compiled_constrained
-from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.live_rows import uniform_cost
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
@@ -410,7 +409,7 @@ def coarser_unit(problem: Problem) -> tuple[Fraction, bool] | None:
     model = problem.model
     if problem.totals is TotalScale.GRID or model.n_outcomes < _OUTCOMES or uniform_cost(model):
         return None
-    begins = goal_approach(model)[1][start_distribution(model, problem.start) > 0.0]
+    begins = goal_approach(model)[1][problem.start_mass > 0.0]
     least, mean, unit, of_most = _unit_of_steps(model)
     likely = float(begins.max(initial=0)) * mean
     if likely < _MANY * unit:
@@ -536,7 +535,7 @@ def split_optimum(
     budget = 1.0 if problem.failure_budget is None else problem.failure_budget
     for tried in range(_TRIES):
         model = with_split_costs(problem.model, unit)
-        start, fixed = start_distribution(model, problem.start), None
+        start, fixed = problem.start_mass, None
         if most is not None and tried + 1 == _TRIES:
             fixed = (most - 0.5) * float(unit)
         cap = None if np.isinf(reach) or fixed else int(np.ceil(reach / float(unit))) + 1

@@ -33,7 +33,6 @@ from ssp_lp.plotting.curves import bounds_along
 from ssp_lp.plotting.plane import Places, Point
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
-from ssp_lp.processes.failure_semantics import start_distribution
 
 LARGEST = 3_000_000
 """Greatest number of bytes of a page: larger ones are slow to open."""
@@ -238,7 +237,7 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
 def _layout(problem: Problem) -> FloatArray:
     """Return positions of a small model's states by distance from the start, [states, 2]."""
     model = problem.model
-    begun = np.flatnonzero(start_distribution(model, problem.start) > 0.0)
+    begun = np.flatnonzero(problem.start_mass > 0.0)
     rows = segment_ids(model.pair_offsets)[segment_ids(model.outcome_offsets)]
     shape = model.n_states, model.n_states
     links = sp.csr_array((np.ones(model.n_outcomes), (rows, model.successors)), shape=shape)

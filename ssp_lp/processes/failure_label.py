@@ -139,7 +139,7 @@ def label_failure(
         goal=survival * to_goal / departs,
     )
     check_time()
-    process = _with_start(process, quotient, start, entering)
+    process = with_start(process, quotient, start, float(start @ entering))
     if semantics.aim is Aim.GREATEST_GOAL:
         process = replace(process, cost=process.failure)
     elif semantics.aim is Aim.LEAST_GOAL:
@@ -169,10 +169,17 @@ def counting_of(
     return Counting(labelled.quotient, labelled.departs, *ends, start, semantics, survival)
 
 
-def _with_start(
-    process: ExplicitProcess, quotient: Quotient, start: FloatArray, entering: FloatArray
+def with_start(
+    process: ExplicitProcess, quotient: Quotient, start: FloatArray, cost: float
 ) -> ExplicitProcess:
-    """Set the start of the process; mass on goals or dead-ends enters through a source."""
+    """Return the process with a start; mass on goals or dead-ends enters through a source.
+
+    Args:
+        process: without a source.
+        quotient: nodes and pairs of the process.
+        start: distribution over states of the model, [states].
+        cost: of the source.
+    """
     model, live_start = quotient.model, quotient.gather(start)
     at_goal = float(start[model.goal_mask].sum())
     at_dead = float(start[quotient.dead].sum())
@@ -188,7 +195,7 @@ def _with_start(
         pair_offsets=np.append(process.pair_offsets, process.n_pairs + 1),
         transitions=sp.csr_array(sp.vstack([wider, source_row])),
         start=np.concatenate([np.zeros(n), [1.0]]),
-        cost=np.append(process.cost, float(start @ entering)),
+        cost=np.append(process.cost, cost),
         failure=np.append(process.failure, at_dead),
         goal=np.append(process.goal, at_goal),
     )

@@ -20,7 +20,14 @@ from ssp_lp.accumulated_cost.charges import (
     Measure,
     TailMeanOf,
 )
-from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, BoolArray, FloatArray, segment_minima
+from ssp_lp.arrays import (
+    LEAST_BUDGET,
+    MACHINE_EPSILON,
+    PROBABILITY_SUM,
+    BoolArray,
+    FloatArray,
+    segment_minima,
+)
 from ssp_lp.errors import (
     Argument,
     ModelError,
@@ -270,11 +277,11 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
         if not is_number(probability):
             given = in_short(probability)
             raise ModelError(f"start probability of state {state!r} must be a number, not {given}")
-        if not 0.0 <= float(probability) <= 1.0 + 1e-12:
+        if not 0.0 <= float(probability) <= 1.0 + PROBABILITY_SUM:
             raise ModelError(f"start probability of state {state!r} is {probability!r}")
         distribution[model.index_of(state, "start")] += float(probability)
     total = float(distribution.sum())
-    if abs(total - 1.0) > 1e-9:
+    if abs(total - 1.0) > PROBABILITY_SUM:
         raise ModelError(f"start probabilities sum to {total:.12g}, not to 1")
     return distribution / total
 

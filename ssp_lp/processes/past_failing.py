@@ -17,7 +17,13 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP, graph
 from ssp_lp.model.failure_product import FailureSSP, label_failing
 from ssp_lp.processes.conditions import ArrivalTerm, Condition, StepTerm, Term
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, free_pairs
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    FailureSemantics,
+    GiveUp,
+    free_pairs,
+    giving_up_states,
+)
 from ssp_lp.processes.live_rows import cost_means
 
 
@@ -43,14 +49,14 @@ def labelled_past_failing(
     limits_and_objective = (*limits, *(() if objective is None else (objective,)))
     terms = [term for condition in limits_and_objective for _, term in condition.terms]
     ends, targets = _ends_past_failing(model, terms)
-    dear = [term for term in terms if isinstance(term, StepTerm) and term.through]
-    if semantics.forbids_failing or not (targets.any() or dear):
+    pays = any(isinstance(term, StepTerm) and term.through for term in terms)
+    if semantics.forbids_failing or not (targets.any() or pays):
         return None
 
     # with accumulated cost, as in case S, a policy may give up at attention states
-    dead, attention = graph.dead_ends(model), graph.attention_states(model)
+    dead = graph.dead_ends(model)
     give_up = GiveUp.ATTENTION if semantics.charge(ratio) is not None else semantics.give_up
-    staying = graph.attention_pairs(model, attention)
+    staying = graph.attention_pairs(model, graph.attention_states(model))
     usable = (dead & ~ends)[model.pair_state]
     if give_up is not GiveUp.DEAD_ENDS:
         usable |= staying & ~dead[model.pair_state]
@@ -62,11 +68,10 @@ def labelled_past_failing(
     if not leaving.any():
         return None
     is_open = graph.nearer_pairs(model, leaving, usable) >= 0
-    everywhere = give_up is GiveUp.ANYWHERE
-    stops = ~model.goal_mask & (everywhere | attention) & ~is_open & ~dead
-    charged = dead[model.pair_state] | everywhere | staying
-    if give_up is GiveUp.DEAD_ENDS:
-        stops, charged = np.zeros_like(stops), dead[model.pair_state]
+    stops = giving_up_states(model, give_up) & ~is_open & ~dead
+    charged = dead[model.pair_state]
+    if give_up is not GiveUp.DEAD_ENDS:
+        charged = charged | staying | (give_up is GiveUp.ANYWHERE)
     totals = semantics.charge(ratio) is not None
     free = np.ones((2, model.n_pairs), dtype=np.bool_)
     if counts.any() and discount is None:

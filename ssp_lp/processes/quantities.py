@@ -526,8 +526,6 @@ def conditions(
             action, label or end, costs of a wrong shape or below 0, or a lower bound of costs or
             visits.
     """
-    if not isinstance(constraints, Mapping):
-        raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {constraints!r}")
     looked_up = []
     for name, constraint in constraints.items():
         if not isinstance(name, str) or not name:

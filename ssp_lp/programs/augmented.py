@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.process import AccumulatedCost, spread_layer
 from ssp_lp.accumulated_cost.written_out import OpenEnded
@@ -24,7 +23,7 @@ from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP, DeterministicPolicy, StochasticPolicy
 from ssp_lp.processes.conditions import Term
 from ssp_lp.processes.explicit_process import ExplicitProcess, ReachablePart
-from ssp_lp.processes.failure_label import FailureLabelled, counting_of
+from ssp_lp.processes.failure_label import FailureLabelled, counting_of, with_start
 from ssp_lp.processes.failure_semantics import FailureSemantics
 from ssp_lp.processes.quotient import (
     ModelFlow,
@@ -248,20 +247,10 @@ class LabelledModel(Augmented):
         """Return the augmented model of the live states with no component collapsed."""
         process, single, width = self.process, spread.quotient, self.width
         rows = single.transitions(1.0, departing=False).matrix  # a discount collapses nothing
-        start, offsets, shape = single.gather(self.start), single.pair_offsets, rows.shape
-        beyond = process.n_pairs - width
-        if beyond:  # the source
-            entry = sp.csr_array(np.append(start, 0.0)[None, :])
-            rows = sp.csr_array(
-                (rows.data, rows.indices, rows.indptr), shape=(shape[0], shape[1] + 1)
-            )
-            rows, offsets = sp.csr_array(sp.vstack([rows, entry])), np.append(offsets, shape[0] + 1)
-            start = np.append(np.zeros(shape[1]), 1.0)
-        cost, failure, goal = (
-            np.append(spread.per_taking(taken[:width]), taken[width:])
-            for taken in (process.cost, process.failure, process.goal)
-        )
-        whole = ExplicitProcess(offsets, rows, start, cost, failure, goal)
+        rewards = (process.cost, process.failure, process.goal)
+        taken = (spread.per_taking(each[:width]) for each in rewards)
+        apart = ExplicitProcess(single.pair_offsets, rows, np.zeros(single.n_nodes), *taken)
+        whole = with_start(apart, single, self.start, float(process.cost[width:].sum()))
         ones = np.ones(len(single.pair_at))
         labelled = FailureLabelled(whole, single, ones)
         return LabelledModel.of(labelled, self.start, self.semantics, self.discount)

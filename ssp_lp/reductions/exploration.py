@@ -27,8 +27,8 @@ from ssp_lp.options import deadline_of
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, MixedPolicy, Policy
-from ssp_lp.problem import Problem, limits_of, restated_on
-from ssp_lp.processes.failure_semantics import GiveUp, start_distribution, survival_of
+from ssp_lp.problem import Problem, limits_of
+from ssp_lp.processes.failure_semantics import GiveUp, survival_of
 from ssp_lp.processes.quantities import words_visited
 from ssp_lp.solution import Solution
 
@@ -66,7 +66,7 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
         while final is None:
             part = exploration.part(survival_of(problem.discount), may_end, charged=charged)
             left = None if time_limit is None else max(deadline.at - time.perf_counter(), 0.0)
-            solution, wanted = _answered(restated_on(problem, part), solve, left)
+            solution, wanted = _answered(problem.with_arguments(model=part), solve, left)
             rounds += 1
             size = f"{part.n_expanded:,} states explored in {rounds} rounds"
             progress = f"{size}{_bound_in_words(solution)}"
@@ -184,7 +184,7 @@ def states_in_doubt(solution: Solution) -> IntArray:
         solution: solution of a problem on an explored part.
     """
     part, semantics = cast("ExploredSSP", solution.problem.model), solution.problem.semantics
-    begin = np.flatnonzero(start_distribution(part, solution.problem.start))
+    begin = np.flatnonzero(solution.problem.start_mass)
     states, last = np.arange(part.n_states), part.pair_offsets[1:] - 1
     reached, doubts = np.zeros((2, part.n_states), dtype=np.bool_)
     for member in solution.policy.policies:
@@ -251,7 +251,7 @@ def _check_bounds(solution: Solution) -> None:
         ModelError: a policy reaches the goal more often, or at less cost, than a bound says.
     """
     part = cast("ExploredSSP", solution.problem.model)
-    start = start_distribution(part, solution.problem.start)
+    start = solution.problem.start_mass
     for member in solution.policy.policies:
         chain = policy_chain(part, member, start)
         goal, cost = chain.arriving()

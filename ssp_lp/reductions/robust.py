@@ -37,8 +37,7 @@ from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
 from ssp_lp.policies import DeterministicPolicy, Policy
 from ssp_lp.policies.boxed_chain import MOST_ROUNDS, boxed_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
-from ssp_lp.problem import as_stated
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, start_distribution
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp
 from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
 
@@ -65,7 +64,7 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
         OutOfTimeError: the time limit passed before it converged.
     """
     began, boxes, semantics = time.perf_counter(), problem.box, problem.semantics
-    start, goal = start_distribution(problem.model, problem.start), problem.model.goal_mask
+    start, goal = problem.start_mass, problem.model.goal_mask
     with limited(time_limit, "the worst probabilities were settled"):
         losing = _losing(boxes, goal)[0] if semantics.forbids_failing else None
         if losing is not None and (lost := (start > 0.0) & (losing > 0)).any():
@@ -79,7 +78,7 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
                 ),
             )
         loss, decision, worst, rounds = settled(boxes, semantics)
-    stated = replace(problem, box=None, **as_stated(problem))
+    stated = problem.with_arguments(box=None)
 
     def solve_in_time(at_worst: Any) -> Solution:
         """Solve the problem at some probabilities in the time that is left."""
@@ -121,7 +120,7 @@ def at_probabilities(problem: Any, probabilities: FloatArray) -> Any:
     """Return a problem on its model with other probabilities, [outcomes]."""
     chosen = read_only(probabilities)
     model = replace(problem.model, probabilities=chosen, counts=None, parameters={})
-    return replace(problem, model=model, **as_stated(problem))
+    return problem.with_arguments(model=model)
 
 
 def solved_at(

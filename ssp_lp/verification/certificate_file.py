@@ -236,7 +236,7 @@ class Statement:
             sought = {"constant": text_of(worth), "terms": []}
         elif semantics.aim is not Aim.LEAST_COST:
             sought = {"constant": "0", "terms": [["1", "end", "goal"]]}
-        rows, stated = list[dict[str, Any]](), {**problem.own_constraints, **problem.constraints}
+        rows, stated = list[dict[str, Any]](), problem.all_constraints
         for condition in flat.conditions:
             quantity = stated[condition.name].quantity if condition.name in stated else None
             row = self._quantity(condition, quantity)

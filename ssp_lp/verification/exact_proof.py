@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ssp_lp.arrays import offsets_of
-from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
 from ssp_lp.model.graph import Graph, end_components, nearer_pairs
@@ -335,7 +335,7 @@ def near_choice(ways: Sequence[_Way], n_nodes: int) -> list[int]:
     place = at.astype(np.int64), to.astype(np.int64)
     rows = sp.csr_array((chances, place), shape=(len(ways), n_nodes))
     dynamics = Dynamics(offsets_of(counts), rows, exits)
-    choice = approach_leaving(dynamics, exits > 0.0)
+    choice = nearer_pairs(dynamics.graph, exits > 0.0)
     if choice.min() < 0:
         raise SolverError("some states cannot be left")
     costs = np.array([way.own / way.total / ONE for way in ways])[:, None]

@@ -296,7 +296,7 @@ def test_models_are_sent_once() -> None:
     )
     executor = AtOnce()
     problems = sweep(MCMP, line, [n - 2, n - 3], failure_budget=BUDGETS)
-    assert all(problem.conditions == () and problem._begun.size == n for problem in problems)
+    assert all(problem.conditions == () and problem.start_mass.size == n for problem in problems)
     assert len(pickle.dumps(line)) > 20 * n
     found = solve_many(problems, executor=executor)
     assert found.objectives.tolist() == [2.0] * 4 + [4.0] * 4
