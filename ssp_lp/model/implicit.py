@@ -11,7 +11,6 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -130,49 +129,32 @@ class Exploration:
         self._expand(wanted)
         while len(self.expanded) < most and self.queue:
             batch = list[int]()
-            most_now = 1 if not self.whole.is_vectorised else most - len(self.expanded)
-            while self.queue and len(batch) < most_now:
+            size = most - len(self.expanded) if self.whole.is_vectorised else 1
+            while self.queue and len(batch) < size:
                 batch.append(heapq.heappop(self.queue)[1])
             self._expand(batch)
 
     def _expand(self, wanted: Iterable[int]) -> None:
         """Expand the states with these numbers that are not expanded yet."""
         here = [k for k in dict.fromkeys(wanted) if not self.is_expanded[k]]
-        if self.whole.is_vectorised and here:
+        flat, states = self.flat.arrays, self.flat.states
+        for numbers in [here] * bool(here) if self.whole.is_vectorised else ([k] for k in here):
             check_time()
-            self._expand_many(here)
-            return
-        for number in here:
-            known, begin = len(self.flat.states), len(self.flat.arrays["costs"])
-            state = self.flat.states[number]
-            check_time()
-            self.flat.add(state, self.whole.expand(state), goal=False)
-            self._note([number])
-            self._price(known, begin, repeat(self.paid[number]))
-
-    def _note(self, numbers: list[int]) -> None:
-        """Record that states have been expanded."""
-        self.expanded += numbers
-        for number in numbers:
-            self.is_expanded[number] = True
-
-    def _price(self, known: int, begin: int, before: Iterable[float]) -> None:
-        """Inspect the states that new outcomes found, with the costs of the paths to them.
-
-        Args:
-            known: number of states found before.
-            begin: position of the first new outcome.
-            before: cost of the path to each new outcome's state, [outcomes].
-        """
-        if len(self.flat.states) == known:
-            return
-        targets, costs = self.flat.arrays["successors"], self.flat.arrays["costs"]
-        paid, following = list[float](), known
-        for target, cost, spent in zip(targets[begin:], costs[begin:], before, strict=False):
-            if target == following:  # states are numbered in the order of the outcomes
-                paid.append(spent + cost)
-                following += 1
-        self._look_at(paid)
+            begin, paid = len(flat["costs"]), list[float]()
+            if self.whole.is_vectorised:
+                self._append_many(numbers)
+            else:
+                state = states[numbers[0]]
+                self.flat.add(state, self.whole.expand(state), goal=False)
+            for number in numbers:
+                self.is_expanded[number] = True
+                self.expanded.append(number)
+                end = flat["outcome_offsets"][flat["pair_offsets"][len(self.expanded)]]
+                for k in range(begin, end):
+                    if flat["successors"][k] == len(self.is_goal) + len(paid):  # found by it
+                        paid.append(self.paid[number] + flat["costs"][k])
+                begin = end
+            self._look_at(paid)
 
     def _look_at(self, paid: list[float]) -> None:
         """Find goal, bounds and labels of the states found last; queue those to expand."""
@@ -221,9 +203,9 @@ class Exploration:
         answers = np.broadcast_to(told(np.array(states, dtype=np.int64)), len(states))
         return list(answers.tolist())
 
-    def _expand_many(self, numbers: list[int]) -> None:
-        """Expand states of a vectorised successor function by one call."""
-        flat, known = self.flat, len(self.flat.states)
+    def _append_many(self, numbers: list[int]) -> None:
+        """Append the actions of states to the model, by one call of the successor function."""
+        flat = self.flat
         states = np.array([flat.states[k] for k in numbers], dtype=np.int64)
         told = {k: np.asarray(v) for k, v in self.whole.expand(states).items()}
         actions, outcomes = told["actions"], told["outcomes"]
@@ -243,9 +225,6 @@ class Exploration:
         ).tolist()
         flat.arrays["outcome_offsets"] += (begin + np.cumsum(outcomes)).tolist()
         flat.arrays["pair_offsets"] += (first + ends).tolist()
-        self._note(numbers)
-        spent = np.repeat(np.repeat([self.paid[k] for k in numbers], actions), outcomes)
-        self._price(known, begin, spent.tolist())
 
     def part(self, survival: float, may_end: bool, *, charged: bool) -> ExploredSSP:
         """Return the explored part as a model.
