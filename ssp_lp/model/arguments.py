@@ -78,11 +78,11 @@ _FITS: dict[Any, Callable[[Any], bool]] = {
 
 
 def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
-    """Wrap a function so that its bare errors name the argument of a wrong type, if there is one.
+    """Wrap a function so that an error caused by an argument of a wrong type names the argument.
 
-    Only failing calls are inspected: their arguments are compared with the annotations, and one
-    that does not fit becomes a :class:`ModelError`. Any other failure is raised unchanged. Only
-    flags are checked in advance, since any value would serve as one.
+    Arguments are compared with the annotations only after the call has failed: the first one that
+    does not fit its annotation is named by a :class:`ModelError`, and any other failure is raised
+    unchanged. Flags are checked before the call, since every value has a truth value.
 
     Args:
         public: a function or method that users call.
@@ -115,7 +115,7 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
 
 
 _BARE = (TypeError, AttributeError, LookupError, ValueError, OverflowError)
-"""Errors that an argument of a wrong type may cause."""
+"""Errors of Python and numpy that an argument of a wrong type may cause."""
 
 
 def _name_of(public: Callable[..., Any], of: object) -> str:
@@ -141,7 +141,7 @@ def check_fields(made: object) -> None:
 def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
     """Return an error text for the first argument whose value misfits its annotation, or None."""
     names = {**vars(sys.modules[annotated.__module__]), "npt": _NUMPY}
-    for part, annotation in getattr(annotated, "__annotations__", {}).items():
+    for part, annotation in annotated.__annotations__.items():
         if part not in values:
             continue
         try:
@@ -166,11 +166,8 @@ def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | N
         inner = [fault for fault in faults if fault and not fault.startswith(f"{place} ")]
         return None if None in faults else inner[0] if inner else wrong
     if not _fits(value, kind, parts):
-        own = (name for name in ("policy", "model", "problem") if hasattr(value, name))
-        fit = (name for name in own if kind not in _WORDS and _fits(getattr(value, name), kind))
         made = _MADE_BY.get(getattr(kind, "__name__", ""))
-        default = f"; {made} makes one" if made else ""
-        return wrong + next((f"; it has one: .{name}" for name in fit), default)
+        return wrong + (holder_of(value, kind) or (f"; {made} makes one" if made else ""))
 
     # entries of a table, a tuple or a list
     is_table = isinstance(value, Mapping)
@@ -185,6 +182,14 @@ def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | N
     within = islice(zip(entries, hints, strict=False), most)
     inside = (_misfit(f"{place}[{key!r}]", one, of) for (key, one), of in within)
     return next(filter(None, inside), None)
+
+
+def holder_of(value: object, kind: Any) -> str:
+    """Return a clause on the attribute of a wrong argument that fits its annotation, or nothing."""
+    for name in ("policy", "model", "problem") if kind not in _WORDS else ():
+        if hasattr(value, name) and _fits(getattr(value, name), kind):
+            return f"; it has one: .{name}"
+    return ""
 
 
 def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:

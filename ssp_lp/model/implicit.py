@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError, in_short, is_number
-from ssp_lp.model.graph import reached_along
+from ssp_lp.model.graph import Graph, reaching_states
 from ssp_lp.model.ssp import SSP, UNEXPLORED, FlatModel, ImplicitSSP
 
 BEYOND, LOST = "(a goal beyond)", "(lost beyond)"
@@ -246,16 +246,14 @@ class Exploration:
         own, doubtful = self._own_ways(rows), np.zeros(n_found + 2, dtype=np.bool_)
         blocks = [own]
         if may_end:
-            arriving = fringe[np.array(self.failure_bounds)[fringe] < 1.0]
-            arriving = np.concatenate([rows[arriving], np.arange(n_live, n_found)])
-            doubtful[:n_expanded] = own.doubtful(n_expanded, n_live, n_found, arriving)
+            arriving = np.array(self.failure_bounds)[numbers] < 1.0
+            doubtful[:n_expanded] = own.doubtful(n_expanded, n_live, arriving)
             failing = doubtful.nonzero()[0]
             charges = own.least_costs(n_expanded)[failing] if charged else np.zeros(failing.size)
             paid = np.pad(charges[:, None], ((0, 0), (0, len(names))))
-            once = np.ones(failing.size, dtype=np.int64)
-            lost = np.full(failing.size, n_found + 1)
+            once, lost = np.ones(failing.size, dtype=np.int64), np.full(failing.size, n_found + 1)
             blocks.append(
-                _Ways(failing, once, lost, np.ones(failing.size), paid, [FAIL] * failing.size)
+                _Ways(failing, once, lost, np.ones(failing.size), paid, [FAIL] * len(once))
             )
         blocks.append(self._ways_out(fringe, n_expanded, survival, names))
         ways = _Ways.joined(blocks)
@@ -358,24 +356,20 @@ class _Ways(NamedTuple):
         labels = [labels[k] for k in order.tolist()]
         return _Ways(owner[order], lengths[order], targets, chances, costs, labels)
 
-    def doubtful(self, n_expanded: int, n_live: int, n_found: int, arriving: IntArray) -> BoolArray:
+    def doubtful(self, n_expanded: int, n_live: int, arriving: BoolArray) -> BoolArray:
         """Return a mask of expanded states that reach the goal through the fringe only, [expanded].
 
         Args:
             n_expanded: number of expanded states.
-            n_live: number of these and of the fringe, which comes next.
-            n_found: number of these and of the goals, which come last.
-            arriving: states of the fringe that may reach the goal, and the goals.
+            n_live: number of these and of the fringe, which comes next; the goals come last.
+            arriving: whether a state of the fringe may reach the goal, by all states found.
         """
-        possible = np.flatnonzero(self.chances > 0.0)
-        ordered = possible[np.argsort(self.targets[possible], kind="stable")]
-        before = np.searchsorted(self.targets[ordered], np.arange(n_found + 1))
-        sources = np.repeat(self.owner, self.lengths)[ordered]
-        known, hoped = (
-            reached_along(sources, before, begin)[:n_expanded]
-            for begin in (np.arange(n_live, n_found), arriving)
-        )
-        return hoped & ~known
+        pairs = offsets_of(np.bincount(self.owner, minlength=arriving.size))
+        graph = Graph(pairs, offsets_of(self.lengths), self.targets, self.chances)
+        place = np.arange(arriving.size)
+        goals, fringe = place >= n_live, (place >= n_expanded) & (place < n_live)
+        known = reaching_states(graph, goals)
+        return (reaching_states(graph, goals | (fringe & arriving)) & ~known)[:n_expanded]
 
     def least_costs(self, n_expanded: int) -> FloatArray:
         """Return the expected cost of each expanded state's cheapest action, [expanded]."""
