@@ -19,7 +19,6 @@ import numpy.typing as npt
 from ssp_lp.errors import (
     ModelError,
     SSPError,
-    attributes_of,
     check_call,
     check_flag,
     in_short,
@@ -84,11 +83,11 @@ _FITS: dict[Any, Callable[[Any], bool]] = {
 
 
 def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
-    """Wrap a function so that its bare errors name the argument of a wrong type, if there is one.
+    """Wrap a function so that an error caused by an argument of a wrong type names the argument.
 
-    Only failing calls are inspected: their arguments are compared with the annotations, and one
-    that does not fit becomes a :class:`ModelError`. Any other failure is raised unchanged. Only
-    flags are checked in advance, since any value would serve as one.
+    Arguments are compared with the annotations only after the call has failed: the first one that
+    does not fit its annotation is named by a :class:`ModelError`, and any other failure is raised
+    unchanged. Flags are checked before the call, since every value has a truth value.
 
     Args:
         public: a function or method that users call.
@@ -121,7 +120,7 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
 
 
 _BARE = (TypeError, AttributeError, LookupError, ValueError, OverflowError)
-"""Errors that an argument of a wrong type may cause."""
+"""Errors of Python and numpy that an argument of a wrong type may cause."""
 
 
 def _name_of(public: Callable[..., Any], of: object) -> str:
@@ -172,11 +171,8 @@ def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | N
         inner = [fault for fault in faults if fault and not fault.startswith(f"{place} ")]
         return None if None in faults else inner[0] if inner else wrong
     if not _fits(value, kind, parts):
-        own = attributes_of(value, "policy", "model", "problem")
-        fit = (name for name, part in own.items() if kind not in _WORDS and _fits(part, kind))
-        made = _MADE_BY.get(_class_name(kind))
-        default = f"; {made} makes one" if made else ""
-        return wrong + next((f"; it has one: .{name}" for name in fit), default)
+        made = _MADE_BY.get(getattr(kind, "__name__", ""))
+        return wrong + (holder_of(value, kind) or (f"; {made} makes one" if made else ""))
 
     # entries of a table, a tuple or a list
     is_table = isinstance(value, Mapping)
@@ -191,6 +187,14 @@ def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | N
     within = islice(zip(entries, hints, strict=False), most)
     inside = (_misfit(f"{place}[{key!r}]", one, of) for (key, one), of in within)
     return next(filter(None, inside), None)
+
+
+def holder_of(value: object, kind: Any) -> str:
+    """Return a clause on the attribute of a wrong argument that fits its annotation, or nothing."""
+    for name in ("policy", "model", "problem") if kind not in _WORDS else ():
+        if hasattr(value, name) and _fits(getattr(value, name), kind):
+            return f"; it has one: .{name}"
+    return ""
 
 
 def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:

@@ -27,7 +27,7 @@ from ssp_lp.model.ssp import SSP
 _MOST_POINTS = 1_000_000  # along one axis
 
 
-class Trials(NamedTuple):
+class _Trials(NamedTuple):
     """Trials of a step in each cell: points in the cell and values of the noise."""
 
     shape: tuple[int, ...]  # dimensions of the trials of one cell
@@ -54,7 +54,7 @@ class Quadrature:
     points: int | Sequence[int] = 4
     rule: str = "midpoint"
 
-    def trials(self, model: ContinuousModel) -> Trials:
+    def trials(self, model: ContinuousModel) -> _Trials:
         """Return the quadrature points, one dimension for each axis and each random number.
 
         Raises:
@@ -76,7 +76,7 @@ class Quadrature:
         shares = [weights for _, weights in parts]
         equal = all(np.ptp(weights) == 0.0 for weights in shares)
         combined = reduce(np.multiply.outer, shares).ravel()
-        return Trials(tuple(map(len, shares)), None if equal else combined, draw, repeatable=True)
+        return _Trials(tuple(map(len, shares)), None if equal else combined, draw, repeatable=True)
 
     def _parts(self, model: ContinuousModel) -> list[tuple[FloatArray, FloatArray]]:
         """Return the points and weights of each axis, in widths of a cell, and random number."""
@@ -128,7 +128,7 @@ class Samples:
         if not (is_number or isinstance(self.seed, np.random.Generator)):
             raise ModelError(f"seed must be a number such as 0 or a generator, not {self.seed!r}")
 
-    def trials(self, model: ContinuousModel) -> Trials:
+    def trials(self, model: ContinuousModel) -> _Trials:
         """Return the sample points, new ones at every call, in one dimension."""
         rng, axes = np.random.default_rng(self.seed), model.grid.axes
 
@@ -139,7 +139,7 @@ class Samples:
             point = tuple(axis.low + (k + rng.random(shape)) * axis.width for axis, k in index)
             return point, tuple(random.at(rng.random(shape)) for random in model.noise)
 
-        return Trials((int(self.number),), None, draw, repeatable=False)
+        return _Trials((int(self.number),), None, draw, repeatable=False)
 
     @explained
     def deviation(self, pairs: int, reachable: int, confidence: float = 0.95) -> float:
@@ -345,7 +345,7 @@ def discretised_rows(
 
 def _rows_of_pairs(
     world: ContinuousModel,
-    trials: Trials,
+    trials: _Trials,
     pairs: IntArray,
     progress: Callable[[int, int], None] | None,
 ) -> list[Outcomes]:
@@ -364,7 +364,7 @@ def _rows_of_pairs(
     return [_repeated_rows(world, trials, joined_outcomes(parts), pairs, distinct, row_of_pair)]
 
 
-def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Outcomes:
+def _discretised_rows(world: ContinuousModel, trials: _Trials, pairs: IntArray) -> Outcomes:
     """Return the outcomes of some discretised pairs, in increasing order."""
     cells, action = np.divmod(pairs, len(world.actions))
     rows = [np.flatnonzero(action == number) for number in np.unique(action)]
@@ -373,7 +373,7 @@ def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -
 
 
 def _rows_of_action(
-    world: ContinuousModel, trials: Trials, cells: IntArray, action: int
+    world: ContinuousModel, trials: _Trials, cells: IntArray, action: int
 ) -> Outcomes:
     """Return the outcomes of one discretised action in some cells."""
     point, noise = trials.draw(cells)
@@ -431,7 +431,7 @@ def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, 
 
 def _repeated_rows(
     world: ContinuousModel,
-    trials: Trials,
+    trials: _Trials,
     found: Outcomes,
     pairs: IntArray,
     distinct: IntArray,

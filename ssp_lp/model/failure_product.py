@@ -47,7 +47,8 @@ class FailureSSP(ProductSSP):
 
     open_pairs: BoolArray = field(kw_only=True)  # [original pairs] that may be taken after failing
     stops: BoolArray = field(kw_only=True)  # [states] where giving up ends the run
-    charged: BoolArray = field(kw_only=True)  # [original pairs]; failing costs the least of them
+    charged: BoolArray = field(kw_only=True)
+    """Pairs whose least cost in a state is the charge of failing there, [original pairs]."""
     free_pairs: BoolArray = field(kw_only=True)  # [2, original pairs] before and after failing
     charges: bool = field(kw_only=True, default=False)  # whether failing costs anything
     original_pair: IntArray = field(kw_only=True)  # [pairs]
@@ -81,7 +82,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def lost(self) -> BoolArray:
-        """Dead-ends of the failure product before failing is declared there, [states]."""
+        """States before failing that are dead-ends of the original, [states]."""
         dead = dead_ends(self.original)
         return np.append(dead, np.zeros_like(dead))
 
@@ -106,7 +107,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def priced(self) -> BoolArray:
-        """Pairs of the failure product among which giving up costs the cheapest, [pairs]."""
+        """Pairs whose least cost in a state is the charge of failing there, [pairs]."""
         before = ~np.append(self.is_open, np.ones(self.n_original, dtype=np.bool_))
         return self.fails | (before[self.pair_state] & self.charged[self.original_pair])
 
@@ -149,7 +150,7 @@ class FailureSSP(ProductSSP):
         return np.asarray(self._places[self.after[states] + 2 * taking, pairs])
 
     def giving_up_by(self, pairs: IntArray) -> IntArray:
-        """Return the failure product's pairs that fail by these pairs of the original, or -1."""
+        """Return the pairs that take pairs of the original together with failing, -1 if none."""
         return np.asarray(self._places[2, pairs])
 
     @cached_property
@@ -194,7 +195,7 @@ def label_failing(
         open_pairs: pairs of dead-ends and attention states that may be taken after failing,
             [pairs].
         stops: where giving up ends the run, [states].
-        charged: pairs of which failing costs the least one of a state, [pairs].
+        charged: pairs whose least cost in a state is the charge of failing there, [pairs].
         free_pairs: pairs that add nothing to finite counts, before and after failing, [2, pairs].
     """
     n, state = model.n_states, model.pair_state

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Fact = TypeVar("Fact")
 
 _TURNS = 1_000  # of a search, between two checks of the time
-_FAR = np.iinfo(np.int32).max - 1  # distance of what cannot be reached
+_FAR = np.iinfo(np.int32).max - 1  # distance of states that cannot be reached
 _FEW, _FEW_ENTRIES = 32, 128  # states, and their predecessors, that a loop handles faster
 
 
@@ -310,8 +310,9 @@ def nearer_pairs(
     before, pair_state, n = graph.predecessors, graph.pair_state, graph.n_states
     choice = np.full(n, -1, dtype=np.int64)
     useful: IntArray = (leaving if usable is None else leaving & usable).nonzero()[0]
-    # distances from a node added behind all ends, to which unusable pairs lead back: scipy's
-    # search gives the edge by which each state is reached, and edges are followed two by two
+    # Search breadth-first against the edges, from an added node n before all leaving pairs.
+    # Unusable pairs are given to n itself, so that they reach no state. scipy returns the parent
+    # of each state in the tree of the search, and doubling the jumps counts the steps to n.
     home = pair_state if usable is None else np.where(usable, pair_state, n)
     sources = np.concatenate([home[before.pairs], pair_state[useful]])
     links = edges(sources, np.append(before.offsets, sources.size))

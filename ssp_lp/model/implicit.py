@@ -11,7 +11,6 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError, in_short, is_number
-from ssp_lp.model.graph import reached_along
+from ssp_lp.model.graph import Graph, reaching_states
 from ssp_lp.model.ssp import SSP, UNEXPLORED, FlatModel, ImplicitSSP
 
 BEYOND, LOST = "(a goal beyond)", "(lost beyond)"
@@ -130,49 +129,32 @@ class Exploration:
         self._expand(wanted)
         while len(self.expanded) < most and self.queue:
             batch = list[int]()
-            most_now = 1 if not self.whole.is_vectorised else most - len(self.expanded)
-            while self.queue and len(batch) < most_now:
+            size = most - len(self.expanded) if self.whole.is_vectorised else 1
+            while self.queue and len(batch) < size:
                 batch.append(heapq.heappop(self.queue)[1])
             self._expand(batch)
 
     def _expand(self, wanted: Iterable[int]) -> None:
         """Expand the states with these numbers that are not expanded yet."""
         here = [k for k in dict.fromkeys(wanted) if not self.is_expanded[k]]
-        if self.whole.is_vectorised and here:
+        flat, states = self.flat.arrays, self.flat.states
+        for numbers in [here] * bool(here) if self.whole.is_vectorised else ([k] for k in here):
             check_time()
-            self._expand_many(here)
-            return
-        for number in here:
-            known, begin = len(self.flat.states), len(self.flat.arrays["costs"])
-            state = self.flat.states[number]
-            check_time()
-            self.flat.add(state, self.whole.expand(state), goal=False)
-            self._note([number])
-            self._price(known, begin, repeat(self.paid[number]))
-
-    def _note(self, numbers: list[int]) -> None:
-        """Record that states have been expanded."""
-        self.expanded += numbers
-        for number in numbers:
-            self.is_expanded[number] = True
-
-    def _price(self, known: int, begin: int, before: Iterable[float]) -> None:
-        """Inspect the states that new outcomes found, with the costs of the paths to them.
-
-        Args:
-            known: number of states found before.
-            begin: position of the first new outcome.
-            before: cost of the path to each new outcome's state, [outcomes].
-        """
-        if len(self.flat.states) == known:
-            return
-        targets, costs = self.flat.arrays["successors"], self.flat.arrays["costs"]
-        paid, following = list[float](), known
-        for target, cost, spent in zip(targets[begin:], costs[begin:], before, strict=False):
-            if target == following:  # states are numbered in the order of the outcomes
-                paid.append(spent + cost)
-                following += 1
-        self._look_at(paid)
+            begin, paid = len(flat["costs"]), list[float]()
+            if self.whole.is_vectorised:
+                self._append_many(numbers)
+            else:
+                state = states[numbers[0]]
+                self.flat.add(state, self.whole.expand(state), goal=False)
+            for number in numbers:
+                self.is_expanded[number] = True
+                self.expanded.append(number)
+                end = flat["outcome_offsets"][flat["pair_offsets"][len(self.expanded)]]
+                for k in range(begin, end):
+                    if flat["successors"][k] == len(self.is_goal) + len(paid):  # found by it
+                        paid.append(self.paid[number] + flat["costs"][k])
+                begin = end
+            self._look_at(paid)
 
     def _look_at(self, paid: list[float]) -> None:
         """Find goal, bounds and labels of the states found last; queue those to expand."""
@@ -221,9 +203,9 @@ class Exploration:
         answers = np.broadcast_to(told(np.array(states, dtype=np.int64)), len(states))
         return list(answers.tolist())
 
-    def _expand_many(self, numbers: list[int]) -> None:
-        """Expand states of a vectorised successor function by one call."""
-        flat, known = self.flat, len(self.flat.states)
+    def _append_many(self, numbers: list[int]) -> None:
+        """Append the actions of states to the model, by one call of the successor function."""
+        flat = self.flat
         states = np.array([flat.states[k] for k in numbers], dtype=np.int64)
         told = {k: np.asarray(v) for k, v in self.whole.expand(states).items()}
         actions, outcomes = told["actions"], told["outcomes"]
@@ -243,9 +225,6 @@ class Exploration:
         ).tolist()
         flat.arrays["outcome_offsets"] += (begin + np.cumsum(outcomes)).tolist()
         flat.arrays["pair_offsets"] += (first + ends).tolist()
-        self._note(numbers)
-        spent = np.repeat(np.repeat([self.paid[k] for k in numbers], actions), outcomes)
-        self._price(known, begin, spent.tolist())
 
     def part(self, survival: float, may_end: bool, *, charged: bool) -> ExploredSSP:
         """Return the explored part as a model.
@@ -267,16 +246,14 @@ class Exploration:
         own, doubtful = self._own_ways(rows), np.zeros(n_found + 2, dtype=np.bool_)
         blocks = [own]
         if may_end:
-            arriving = fringe[np.array(self.failure_bounds)[fringe] < 1.0]
-            arriving = np.concatenate([rows[arriving], np.arange(n_live, n_found)])
-            doubtful[:n_expanded] = own.doubtful(n_expanded, n_live, n_found, arriving)
+            arriving = np.array(self.failure_bounds)[numbers] < 1.0
+            doubtful[:n_expanded] = own.doubtful(n_expanded, n_live, arriving)
             failing = doubtful.nonzero()[0]
             charges = own.least_costs(n_expanded)[failing] if charged else np.zeros(failing.size)
             paid = np.pad(charges[:, None], ((0, 0), (0, len(names))))
-            once = np.ones(failing.size, dtype=np.int64)
-            lost = np.full(failing.size, n_found + 1)
+            once, lost = np.ones(failing.size, dtype=np.int64), np.full(failing.size, n_found + 1)
             blocks.append(
-                _Ways(failing, once, lost, np.ones(failing.size), paid, [FAIL] * failing.size)
+                _Ways(failing, once, lost, np.ones(failing.size), paid, [FAIL] * len(once))
             )
         blocks.append(self._ways_out(fringe, n_expanded, survival, names))
         ways = _Ways.joined(blocks)
@@ -379,24 +356,20 @@ class _Ways(NamedTuple):
         labels = [labels[k] for k in order.tolist()]
         return _Ways(owner[order], lengths[order], targets, chances, costs, labels)
 
-    def doubtful(self, n_expanded: int, n_live: int, n_found: int, arriving: IntArray) -> BoolArray:
+    def doubtful(self, n_expanded: int, n_live: int, arriving: BoolArray) -> BoolArray:
         """Return a mask of expanded states that reach the goal through the fringe only, [expanded].
 
         Args:
             n_expanded: number of expanded states.
-            n_live: number of these and of the fringe, which comes next.
-            n_found: number of these and of the goals, which come last.
-            arriving: states of the fringe that may reach the goal, and the goals.
+            n_live: number of these and of the fringe, which comes next; the goals come last.
+            arriving: whether a state of the fringe may reach the goal, by all states found.
         """
-        possible = np.flatnonzero(self.chances > 0.0)
-        ordered = possible[np.argsort(self.targets[possible], kind="stable")]
-        before = np.searchsorted(self.targets[ordered], np.arange(n_found + 1))
-        sources = np.repeat(self.owner, self.lengths)[ordered]
-        known, hoped = (
-            reached_along(sources, before, begin)[:n_expanded]
-            for begin in (np.arange(n_live, n_found), arriving)
-        )
-        return hoped & ~known
+        pairs = offsets_of(np.bincount(self.owner, minlength=arriving.size))
+        graph = Graph(pairs, offsets_of(self.lengths), self.targets, self.chances)
+        place = np.arange(arriving.size)
+        goals, fringe = place >= n_live, (place >= n_expanded) & (place < n_live)
+        known = reaching_states(graph, goals)
+        return (reaching_states(graph, goals | (fringe & arriving)) & ~known)[:n_expanded]
 
     def least_costs(self, n_expanded: int) -> FloatArray:
         """Return the expected cost of each expanded state's cheapest action, [expanded]."""

@@ -412,7 +412,7 @@ def unfold(
     n, counts = model.n_states, np.diff(model.pair_offsets)
     possible = np.flatnonzero(model.probabilities > 0.0)
     offsets = np.searchsorted(possible, model.outcome_offsets)
-    new, n_found = sorted_unique(begin[1] * n + begin[0]), 0
+    new, n_found = sorted_unique(begin[1] * n + begin[0]).astype(np.int32), 0
     rounds = list[tuple[IntArray, ...]]()
     places = np.full(max(n, int(new.max(initial=0)) + 1), -1, dtype=np.int32)  # by memory and state
     while new.size or not rounds:
@@ -426,14 +426,14 @@ def unfold(
         actions = np.where(is_over(state, number), 0, counts[state])
         pairs = concatenated_ranges(model.pair_offsets[state], actions)
         entries, ends = entries_of(offsets, pairs)
-        outcomes = possible[entries]
-        before = np.repeat(np.repeat(number, actions), ends)
-        target = after(before, outcomes) * n + model.successors[outcomes]
+        outcomes = entries if possible.size == model.n_outcomes else possible[entries]
+        moved = after(np.repeat(np.repeat(number, actions), ends), outcomes)
+        if (room := (int(moved.max(initial=0)) + 1) * n) > MOST_PLACES:
+            raise ModelError(f"{room // n:,} memories on {n:,} states are too many")
+        target = moved.astype(np.int32, copy=False) * np.int32(n) + model.successors[outcomes]
         rounds.append((state, number, actions, pairs, ends, outcomes, target))
-        if (most := int(target.max(initial=0))) >= MOST_PLACES:
-            raise ModelError(f"{most // n + 1:,} memories on {n:,} states are too many")
-        if most >= places.size:
-            more = np.full(max(most + 1, 2 * places.size) - places.size, -1, dtype=np.int32)
+        if room > places.size:
+            more = np.full(max(room, 2 * places.size) - places.size, -1, dtype=np.int32)
             places = np.concatenate([places, more])
         new = target[places[target] < 0]
         places[new] = np.arange(new.size)
@@ -445,7 +445,7 @@ def unfold(
         "outcome_offsets": read_only(offsets_of(ends)),
         "successors": read_only(places[target]),
     }
-    return state, number, fields
+    return state.astype(np.int64), number, fields
 
 
 def labels_in_product(
@@ -586,8 +586,9 @@ def unroll_steps(
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
         """Return the numbers of steps after outcomes, [entries]; after the last it is late."""
-        late = (before == steps - 1) & acting[model.successors[outcomes]]
-        return np.asarray(before + 1 + late)
+        if not (before == steps - 1).any():
+            return before + 1
+        return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round
 
     first = np.array(range(model.n_states) if begin is None else begin, dtype=np.int64)
     state, count, fields = unfold(

@@ -36,14 +36,13 @@ from ssp_lp.errors import (
     Argument,
     ModelError,
     ModelWarning,
-    attributes_of,
     check_whole,
     did_you_mean,
     in_short,
     is_number,
     wrong_argument,
 )
-from ssp_lp.model.arguments import explained
+from ssp_lp.model.arguments import explained, holder_of
 from ssp_lp.model.graph import Graph, dead_ends as lost_states, end_components
 from ssp_lp.model.parameters import Affine, PlacedParameter
 from ssp_lp.model.report import Table
@@ -805,9 +804,9 @@ class SSP(Graph, ReadOnlyCopies):
         return self.describe_pair(pair)
 
     def of_all_states(self, made: FloatArray) -> FloatArray:
-        """Return an array computed for each state's own pairs, for all states, [states].
+        """Return values that were computed from the pairs held here, for all states, [states].
 
-        Here the model has all pairs; a partitioned model joins its parts.
+        An ordinary model holds all pairs; a partitioned model joins the values of its parts.
         """
         return made
 
@@ -853,7 +852,7 @@ UNEXPLORED = "unexplored"
 """Label of an implicit model's states that were found, but not expanded, and of their ends."""
 
 
-class NotExploredError(ModelError, AttributeError):
+class _NotExploredError(ModelError, AttributeError):
     """A function needs every state of an implicit model."""
 
 
@@ -861,7 +860,7 @@ class ImplicitSSP(SSP):
     """A model given by its successor function (:meth:`SSP.implicit`).
 
     Its states are unknown before it is solved: functions that need its arrays raise
-    :class:`NotExploredError`.
+    :class:`_NotExploredError`.
     """
 
     parameters: Mapping[str, PlacedParameter] = MappingProxyType({})
@@ -886,9 +885,9 @@ class ImplicitSSP(SSP):
         """Reject attributes that need every state of the model.
 
         Raises:
-            NotExploredError: always.
+            _NotExploredError: always.
         """
-        raise NotExploredError(
+        raise _NotExploredError(
             f"an implicit model has no {name!r} before it is explored: take "
             "solution.problem.model, the part that solve explored, or build all of it, "
             "SSP.from_successors(...)"
@@ -918,13 +917,11 @@ def check_model(model: object, verb: str) -> None:
         ModelError: a problem or something else; ``verb`` names the function that was called.
     """
     if not isinstance(model, SSP):
-        inner = attributes_of(model, "model").get("model")
-        hint = "; it has one: .model" if isinstance(inner, SSP) else ""
-        raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{hint}")
+        raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{holder_of(model, SSP)}")
 
 
 class FlatModel:
-    """States in the order of finding, and flat lists of those expanded. Mutable."""
+    """A model under construction: states as they are found, flat lists of the expanded. Mutable."""
 
     def __init__(self, states: list[Any], cost: str | None, *, closed: bool = False) -> None:
         """Begin with some distinct states; closed: there are no others.
@@ -951,8 +948,8 @@ class FlatModel:
         """Append a state's actions and new successors to the model.
 
         Raises:
-            ModelError: no actions, an outcome that is not a triple, an entry that is not a number,
-                or a state that a closed model does not have.
+            ModelError: actions that are not a dict, an outcome that is not a triple, an entry that
+                is not a number, or a state that a closed model does not have.
         """
         if not isinstance(actions, Mapping):
             raise ModelError(
@@ -1140,7 +1137,7 @@ def _first_states(start: Hashable | Iterable[Hashable]) -> list[Any]:
 
 
 def _test_of(members: StateSet, name: str) -> Callable[[Any], Any]:
-    """Return a predicate for membership of a state in a set, which may be a predicate itself."""
+    """Return the predicate of a set of states that is given by its members or by a predicate."""
     return members if callable(members) else set(no_lone_string(members, name)).__contains__
 
 
@@ -1157,7 +1154,7 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
 
 
 def check_hashable(state: Any, where: str) -> None:
-    """Raise :class:`ModelError` for an argument of a model that cannot be a state."""
+    """Raise :class:`ModelError`, saying where it was given, for a value that cannot be a state."""
     try:
         hash(state)
     except TypeError as error:

@@ -36,9 +36,9 @@ def checked_rows(rows: Rows, first: int, end: int) -> StateRows:
     if not isinstance(made, StateRows):
         raise ModelError(f"{call} must be StateRows, not {in_short(made)}")
     size, arrays = end - first, dict[str, Any]()
-    each_of = "state", "pair", "outcome", "outcome"
-    for (name, given), each in zip(made._asdict().items(), each_of, strict=False):
-        part = np.asarray(given)
+    of = "state", "pair", "outcome", "outcome"
+    for name, numbers, each in zip(made._fields, made, of, strict=False):
+        part = np.asarray(numbers)
         part = part if part.size else part.astype(np.int64)
         is_number = part.dtype.kind in ("iuf" if name == "probabilities" else "iu")
         if not is_number or part.shape != (size,) or (len(arrays) < 2 and (part < 0).any()):

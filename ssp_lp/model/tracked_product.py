@@ -162,7 +162,7 @@ def track(
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
         """Return the values after outcomes, [entries]."""
-        return automaton.moves[before, automaton.letter[outcomes]].astype(np.int64, copy=False)
+        return automaton.moves[before, automaton.letter[outcomes]]
 
     def ends(state: IntArray, value: IntArray) -> BoolArray:
         """Return whether a run ends with success, [entries]."""
