@@ -205,17 +205,15 @@ class _Equations:
         Raises:
             SolverError: no solver reaches the accuracy.
         """
-        filled, greatest, x = self.halo.filled, self.halo.ranks.greatest, self.solve(right, guess)
-        low, sides = np.zeros_like(x), self.moves.advantage_bounds(right, filled(x))
-        sizes = [np.abs(side).max(initial=0.0) for side in (*sides, x)]
-        *missed, scale = greatest(sizes).tolist()
+        filled, x = self.halo.filled, self.solve(right, guess)
+        low = np.zeros_like(x)
         for _ in range(_RUNS):
-            if 2.0 * longest * max(missed) <= EVALUATED * scale:
-                return x, low
             off, rounding = self.moves.precise_advantages(right, filled(x), filled(low))
-            missed = [float(greatest((np.abs(off) + rounding).max(initial=0.0)))]
-            if 2.0 * longest * max(missed) > EVALUATED * scale:
-                x, low = exact_sum(x, low + self.solve(off, np.zeros_like(x)))
+            sizes = [one.max(initial=0.0) for one in (np.abs(off) + rounding, np.abs(x))]
+            missed, scale = self.halo.ranks.greatest(sizes).tolist()
+            if 2.0 * longest * missed <= EVALUATED * scale:
+                return x, low
+            x, low = exact_sum(x, low + self.solve(off, np.zeros_like(x)))
         raise SolverError("runs are too long to evaluate a policy's totals accurately")
 
 
@@ -280,9 +278,9 @@ class PartitionedProcess(PricingProblem):
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Find a column of least priced cost by policy iteration, evaluated to a bounded error."""
-        weights, known = self._weights(price), [one for one in (*warm, *self.earlier) if one]
-        known = [one for one in known if one.totals is not None] or [self.first()]
-        best = min(known, key=lambda column: float(weights @ column.figures))
+        weights, known = self._weights(price), (*warm, *self.earlier)
+        evaluated = [one for one in known if one and one.totals is not None] or [self.first()]
+        best = min(evaluated, key=lambda column: float(weights @ column.figures))
         choice, totals = np.asarray(best.choice), np.array(best.totals)
         cost, values = weighted(self.rewards, weights), weighted(totals[:, :-1], weights)
         work = Work()
@@ -486,10 +484,8 @@ class PartitionedProcess(PricingProblem):
         Raises:
             ModelError: a state has no decision, or one that is not allowed.
         """
-        quotient, live = (
-            self.labelled.quotient,
-            self.labelled.quotient.node_of[: self.n_states] >= 0,
-        )
+        quotient = self.labelled.quotient
+        live = quotient.node_of[: self.n_states] >= 0
         taken, first = positions[live], quotient.model.pair_offsets[: self.n_states][live]
         choice = np.where(taken >= 0, quotient.places[np.maximum(taken, 0) + first], -1)
         choice = np.where(taken == GIVE_UP_CODE, self._exits, choice)

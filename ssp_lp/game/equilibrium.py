@@ -130,9 +130,18 @@ class Equilibrium(Mixture):
     """Bounds of a game's value, and the two policies whose payoffs are equal at alpha*."""
 
     alpha: float  # alpha*: the adversary's weight of the objective MDP
-    least: float  # lower bound of J*(alpha), with J_cond counted from the origin
-    most: float  # upper bound of the mixture's payoff, with J_cond counted from the origin
+    bound: float  # of every policy's payoff at alpha, with J_cond counted from the origin
     responses: tuple[BestResponse, ...]  # every policy found during the search
+
+    @property
+    def most(self) -> float:
+        """Upper bound of the mixture's payoff, with J_cond counted from the origin."""
+        return min(self.game.payoff(self.alpha, side) for side in (self.minus, self.plus))
+
+    @property
+    def least(self) -> float:
+        """Lower bound of J*(alpha), with J_cond counted from the origin."""
+        return min(self.bound, self.most)
 
     @property
     def origin(self) -> float:
@@ -202,12 +211,12 @@ def play(
         minus = game.best_response(player, 0.0, accuracy)
         responses.append(minus)
         if not game.rises(minus):
-            return _met(game, 0.0, (minus, minus), minus.bound, responses)
+            return Equilibrium(game, minus, minus, 0.0, minus.bound, tuple(responses))
     if plus is None:
         plus = game.best_response(player, 1.0, accuracy)
         responses.append(plus)
         if game.rises(plus):
-            return _met(game, 1.0, (plus, plus), plus.bound, responses)
+            return Equilibrium(game, plus, plus, 1.0, plus.bound, tuple(responses))
     while True:  # until no response lies below the crossing of the two lines
         alpha = crossing(game, minus, plus)
         upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
@@ -217,7 +226,7 @@ def play(
         done = upper - response.bound <= accuracy * size
         stalled = game.payoff(alpha, response) >= upper - 1e-15 * size
         if done or stalled or len(responses) > _MOST_ROUNDS:
-            return _met(game, alpha, (minus, plus), response.bound, responses)
+            return Equilibrium(game, minus, plus, alpha, response.bound, tuple(responses))
         if game.rises(response):
             minus = response
         else:
@@ -230,27 +239,7 @@ def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
     if minus is None or plus is None:
         minus = plus = minus or plus or responses[0]
     alpha = crossing(game, minus, plus) if minus is not plus else 1.0
-    return _met(game, alpha, (minus, plus), -np.inf, responses)
-
-
-def _met(
-    game: Game,
-    alpha: float,
-    sides: tuple[BestResponse, BestResponse],
-    bound: float,
-    responses: Sequence[BestResponse],
-) -> Equilibrium:
-    """Build the equilibrium at an alpha; both sides are the same policy at alpha 0 or 1.
-
-    Args:
-        game: the game.
-        alpha: the adversary's weight.
-        sides: the policies that are optimal just below and just above alpha.
-        bound: lower bound of every policy's payoff.
-        responses: every policy found during the search.
-    """
-    upper = min(game.payoff(alpha, side) for side in sides)
-    return Equilibrium(game, *sides, alpha, min(bound, upper), upper, tuple(responses))
+    return Equilibrium(game, minus, plus, alpha, -np.inf, tuple(responses))
 
 
 def _closest_to_equilibrium(

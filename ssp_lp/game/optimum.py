@@ -469,22 +469,6 @@ def stationary_game(
     return find_optimum(problem, player, tolerance=tolerance, progress=progress)
 
 
-def value_function(solution: GameSolution) -> FloatArray:
-    """Compute checked lower bounds of ``J_obj + price * J_cond`` at the optimum.
-
-    All values are infinite if no time is left.
-
-    Raises:
-        ModelError: not a solution of ``stationary_game``.
-    """
-    player, members = solution.player, solution.threshold.members
-    if isinstance(player, BayesPlayer) or player.tail is not None:
-        raise ModelError("only the stationary game has a value function of the state")
-    with WithIncumbent(), closing():
-        return player.value_function(solution.price)
-    return np.broadcast_to(np.inf, player.value_shape(members))
-
-
 @explained
 def thresholds(
     problem: Problem,

@@ -35,7 +35,7 @@ from ssp_lp.arrays import (
     IntArray,
     least_integer_type,
 )
-from ssp_lp.compiled.deadline import backward
+from ssp_lp.compiled.deadline import WithIncumbent, backward, closing
 from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
@@ -70,11 +70,12 @@ _STALLED = 1e-8
 """Relative gap that counts as rounding if more layers do not reduce it."""
 
 _ACCURACY = 1e-13  # relative accuracy of the tails' values, the best of a sum of many products
-_SETTLED = 1e-10  # accuracy that determines the number of layers of a value function
 _TIGHT = 1e-12  # accuracy of a value function of one layer
 _ROUNDED = 8.0 * MACHINE_EPSILON  # relative rounding of a tail's value
 _DEAREST = 1e100  # a price of J_cond at which J_obj is negligible
 
+_FIRST_SWEEPS = 16  # of value iteration, before the first policy iteration
+_MOST_SWEEPS = 1 << 14  # of value iteration, after which only rounding is left
 _FIRST_HORIZON = 32
 _SLOW = 0.9  # share of the gap from which on doubling the horizon does not help
 _MOST_STEPS = 100_000
@@ -159,8 +160,6 @@ def iterate_values(
     watched: FloatArray,
     *,
     accuracy: float,
-    first_sweeps: int = 16,
-    most_sweeps: int = 1 << 14,
 ) -> Iterated:
     """Minimise ``weights @ costs`` by value iteration, with T_alpha of section 3.5.
 
@@ -178,37 +177,29 @@ def iterate_values(
         weights: weights of the costs, non-negative, [costs].
         watched: weight of each node in the comparison of bounds, [nodes].
         accuracy: relative distance of the two bounds to reach.
-        first_sweeps: number of sweeps before the first policy iteration.
-        most_sweeps: number of sweeps after which only rounding is left.
     """
     pair_cost = costs @ weights
     values = np.zeros(dynamics.n_states)
-    best, block, sweeps = -np.inf, first_sweeps, 0
-    rounding = _BACKUP_ROUNDING / (1.0 - discount)
-    choice: IntArray | None = None
+    before, sweeps, rounding = -np.inf, 0, _BACKUP_ROUNDING / (1.0 - discount)
+    offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     while True:
-        if choice is None:
-            for _ in range(block):  # of values that are at most their backup
-                backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values)
-                values = np.maximum(values, backup.minima)
-            choice, sweeps = backup.choice, sweeps + block
-        choice, totals, steps = improved_response(dynamics, costs, weights, choice)
+        for _ in range(max(sweeps, _FIRST_SWEEPS)):  # of values that are at most their backup
+            backup = best_pairs(offsets, transitions, pair_cost, values)
+            values = np.maximum(values, backup.minima)
+            sweeps += 1
+        choice, totals, steps = improved_response(dynamics, costs, weights, backup.choice)
         attained, sweeps = totals @ weights, sweeps + steps
         lifted = sub_solution(dynamics, pair_cost, attained)
         values = np.maximum(lifted, sub_solution(dynamics, pair_cost, values))
         below, above = float(watched @ values), float(watched @ attained)
-        stuck = best > -np.inf and above - below <= rounding * above
-        if above - below <= accuracy * above or stuck or sweeps > most_sweeps:
+        stuck = before > -np.inf and above - below <= rounding * above
+        if above - below <= accuracy * above or stuck or sweeps > _MOST_SWEEPS:
             return Iterated(values, choice, totals, sweeps)
-        best, block, choice = below, max(sweeps, first_sweeps), None
+        before = below
 
 
 def improved_response(
-    dynamics: Dynamics,
-    costs: FloatArray,
-    weights: FloatArray,
-    choice: IntArray,
-    most_steps: float = 100,
+    dynamics: Dynamics, costs: FloatArray, weights: FloatArray, choice: IntArray
 ) -> tuple[IntArray, FloatArray, int]:
     """Improve a choice by policy iteration; return it, its exact costs, and the number of steps."""
     pair_cost, steps = costs @ weights, 0
@@ -218,7 +209,7 @@ def improved_response(
         steps += 1
         backup = best_pairs(offsets, transitions, pair_cost, totals @ weights, choice)
         better = backup.minima < backup.here - IMPROVEMENT * np.abs(backup.here)
-        if steps >= most_steps or not better.any():
+        if not better.any():
             return choice, totals, steps
         choice = np.where(better, backup.choice, choice)
 
@@ -516,32 +507,29 @@ class Player:
         process = self.response(1.0, price, accuracy).strategy.process
         return float(self.lower_bounds(Sweep.of_ends(process), price, 0.0)[0][0])
 
-    def value_function(self, price: float) -> FloatArray:
-        """Compute checked lower bounds of ``J_obj + price * J_cond``.
+    def value_function(self, price: float, responses: Sequence[BestResponse]) -> FloatArray:
+        """Compute checked lower bounds of ``J_obj + price * J_cond``; infinite if time is up.
+
+        Args:
+            price: price of J_cond.
+            responses: the player's responses so far.
 
         Returns:
             In case M [nodes], followed by the start's value if start mass lies on goals or
             dead-ends. In case S infinite values, [layers, nodes], for which ``certify`` computes
-            the best values on so many layers; [1] if costs have no common unit.
+            the best values on as many layers as a response had; [1] if costs have no common unit.
         """
-        if self.counts_total and self.base.by_steps:
+        base = self.base
+        if self.counts_total and base.by_steps:
             return np.array([np.inf])
-        response = self.response(1.0, price, _SETTLED if self.counts_total else _TIGHT)
         if self.counts_total:
-            return np.broadcast_to(np.inf, self.value_shape([response]))
-        values: FloatArray = response.strategy.values
-        return np.append(values, response.bound) if self._is_settled_at_start else values
-
-    def value_shape(self, responses: Sequence[BestResponse]) -> tuple[int, ...]:
-        """Return the shape of the value function, in case S with the greatest number of layers."""
-        if self.counts_total:
-            return max(response.strategy.choice.shape[1:] for response in responses)
-        return (self.base.n_nodes + int(self._is_settled_at_start),)
-
-    @property
-    def _is_settled_at_start(self) -> bool:
-        """Whether start mass lies on goals or dead-ends."""
-        return self.base.start_goal + self.base.start_failure > 0.0
+            shape = max(response.strategy.choice.shape[1:] for response in responses)
+            return np.broadcast_to(np.inf, shape)
+        is_settled = base.start_goal + base.start_failure > 0.0
+        with WithIncumbent(), closing():
+            response = self.response(1.0, price, _TIGHT)
+            return np.append(response.strategy.values, [response.bound] * is_settled)
+        return np.full(base.n_nodes + is_settled, np.inf)
 
     def policy(self, response: BestResponse) -> Policy:
         """Return a best response as a policy on the original states, with its memory.
@@ -622,7 +610,7 @@ class BayesPlayer(Player):
         dynamics = quotient.dynamics(1.0, departing=False)[0]
         choice = quotient.nearer(goal_pairs(quotient.model))
         choice = base.pair_offsets[:-1].copy() if choice is None else choice.astype(np.int32)
-        choice, totals, _ = improved_response(dynamics, cost[:, None], np.ones(1), choice, np.inf)
+        choice, totals, _ = improved_response(dynamics, cost[:, None], np.ones(1), choice)
         values = totals[:, 0]
         failing = base.instant_dynamics.chain(choice).solve(base.failure[choice])
         nothing, every = np.zeros((1, base.n_nodes)), np.ones(base.n_nodes)

@@ -275,7 +275,7 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     With a fixed M (``options.tail``) the policy is evaluated exactly, and the bound is still that
     of all policies.
     """
-    from ssp_lp.game.optimum import stationary_game, value_function
+    from ssp_lp.game.optimum import stationary_game
 
     equilibrium = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
     replies = equilibrium.threshold.responses
@@ -290,7 +290,7 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
         bound=equilibrium.lower_bound,
         failure=equilibrium.threshold.condition,
         price=price,
-        values=value_function(equilibrium),
+        values=equilibrium.player.value_function(equilibrium.price, replies),
         note=remarks(problem, equilibrium.threshold.budget, equilibrium.threshold.in_time),
     )
     if options.tail is not None:

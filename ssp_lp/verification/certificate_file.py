@@ -101,18 +101,16 @@ def check_certificate(path: str | Path, *, problem: Problem | None = None) -> Ch
     if not isinstance(path, (str, PathLike)):
         how = "is not a path of a file: write one by ssp_lp.write_certificate(solution, path)"
         return Checked(False, f"{type(path).__name__} {how}")
+    expected = None if problem is None else sha256_of(problem)
     try:
-        expected = None if problem is None else sha256_of(problem)
         return _checked(reading.lines_of(path), expected)
     except RefusedError as error:
         reason = str(error)
     except gzip.BadGzipFile:
         reason = "this is not a certificate: ssp_lp.write_certificate writes one"
-    except (OSError, ModelError) as error:
-        if isinstance(error, ModelError) or error.errno:  # there is no such file
-            raise
-        reason = f"the file is damaged: {error}"
     except Exception as error:  # damaged files may raise any error
+        if isinstance(error, OSError) and error.errno:  # there is no such file
+            raise
         reason = f"the file is damaged: {type(error).__name__}: {ascii(str(error))[:200]}"
     return Checked(False, reason)
 

@@ -33,16 +33,14 @@ from ssp_lp.verification.prove import EXCESS, Bounds, Column, Counts, Row
 
 ONE = 10**60
 _LOST = 10**28  # values are lowered by at most the largest value divided by this
-_KEPT = 10**30  # multiple of units to which values without equations are rounded down
 _ROUNDING = 10**15  # units: smaller differences may be rounding
 _UNITS = 4  # residual of an equation, in units, that ends the refinement
 _BITS = 960  # most bits of whole numbers that are converted to floats
 _IMPROVEMENTS = 500  # most steps of policy iteration, which has always ended before
 _ROUNDS = 60  # most rounds of column generation
-_PARTS = 10**30  # prices are multiples of 1 / this
+_PARTS = 10**30  # prices, and values without equations, are multiples of 1 / this = this / ONE
 _LESS = Fraction(1, 10**20)  # share by which the proved ratio is lower if failure is not limited
 _FAR = 10**6  # factor of prices while no lottery satisfies the rows
-_HEAVY = Fraction(1, 10**12)  # members of less weight are left out, if the rows allow it
 _NARROW, _MANY = Fraction(1, 10**11), 20_000  # width that suffices for programs of more nodes
 
 Decide = Callable[[int], int]  # node -> position of the column that a policy takes
@@ -130,7 +128,7 @@ class Nodes:
                 found = dict[int, tuple[int, int]]()
                 position = _positions(columns)
                 for k, column, worth in zip(position, columns, own, strict=True):
-                    least = worth // column.total // _KEPT * _KEPT
+                    least = worth // column.total // _PARTS * _PARTS
                     found[column.node] = min(found.get(column.node, (least, k)), (least, k))
             for i, (least, k) in found.items():
                 value[i] = max(least, 0) if i in self.program.follows else least
@@ -263,7 +261,7 @@ def _lowered(ways: Sequence[_Way]) -> list[int]:
     if not any(way.own for way in ways):
         return [0] * len(ways)
     if not any(way.outcomes for way in ways):
-        return [way.own // way.total // _KEPT * _KEPT for way in ways]
+        return [way.own // way.total // _PARTS * _PARTS for way in ways]
     return sub_solution(ways, range(len(ways)))[1]
 
 
@@ -331,10 +329,7 @@ def near_choice(ways: Sequence[_Way], n_nodes: int) -> list[int]:
     counts = np.bincount([way.node for way in ways], minlength=n_nodes)
     exits = np.array([(w.total - sum(a for a, _ in w.outcomes)) / w.total for w in ways])
     entries = [(k, j, a / way.total) for k, way in enumerate(ways) for a, j in way.outcomes]
-    at, to, chances = np.array(entries, dtype=np.float64).reshape(-1, 3).T
-    place = at.astype(np.int64), to.astype(np.int64)
-    rows = sp.csr_array((chances, place), shape=(len(ways), n_nodes))
-    dynamics = Dynamics(offsets_of(counts), rows, exits)
+    dynamics = Dynamics(offsets_of(counts), _matrix(entries, (len(ways), n_nodes)), exits)
     choice = nearer_pairs(dynamics.graph, exits > 0.0)
     if choice.min() < 0:
         raise SolverError("some states cannot be left")
@@ -344,6 +339,12 @@ def near_choice(ways: Sequence[_Way], n_nodes: int) -> list[int]:
     return list(map(int, choice))
 
 
+def _matrix(entries: Sequence[tuple[int, int, float]], shape: tuple[int, int]) -> sp.csr_array:
+    """Return a matrix of given entries (row, column, value), of which equal places are summed."""
+    rows, columns, values = np.array(entries, dtype=np.float64).reshape(-1, 3).T
+    return sp.csr_array((values, (rows.astype(np.int64), columns.astype(np.int64))), shape=shape)
+
+
 def solved(chosen: Sequence[_Way]) -> list[int]:
     """Return the values of nodes with one way each, which satisfy their equations to units."""
     if not any(way.outcomes for way in chosen):
@@ -351,8 +352,7 @@ def solved(chosen: Sequence[_Way]) -> list[int]:
     size, values, last = len(chosen), [0] * len(chosen), 0
     entries = [(i, i, 1.0) for i in range(size)]
     entries += [(i, j, -a / way.total) for i, way in enumerate(chosen) for a, j in way.outcomes]
-    at, to, parts = zip(*entries, strict=True)
-    factors = splu(sp.csc_array((parts, (at, to)), shape=(size, size)))
+    factors = splu(sp.csc_array(_matrix(entries, (size, size))))
     while True:
         lack = [way.own + sum(a * values[j] for a, j in way.outcomes) - way.total * value
                 for way, value in zip(chosen, values, strict=True)]  # fmt: skip
@@ -477,14 +477,12 @@ def proof_of(
             prices[0] += lottery.value * (1 - _LESS * (most[0] >= 1))
     if best is None or not lottery.weights:
         raise SolverError(_broken(rows, members.values(), lottery.prices))
-    every, enough = list(members.values()), lottery.value + _NARROW * (1 + abs(lottery.value))
-    heavy = [one for one, w in zip(every, lottery.weights, strict=True) if w > _HEAVY]
-    for some, room in ((every, ZERO), (heavy, EXCESS), (every, EXCESS)):
-        lottery = best_lottery([one.totals for one in some], rows, room, ratio=ratio)
-        if lottery.weights and lottery.value <= enough:
-            break
-    share = 1 / sum(lottery.weights, ZERO)
-    drawn = [(w * share, one) for w, one in zip(lottery.weights, some, strict=True) if w]
+    totals = [one.totals for one in members.values()]
+    exact = best_lottery(totals, rows, ZERO, ratio=ratio)
+    if exact.weights and exact.value <= lottery.value + _NARROW * (1 + abs(lottery.value)):
+        lottery = exact
+    chosen = zip(lottery.weights, members.values(), strict=True)
+    drawn = [(w / sum(lottery.weights), one) for w, one in chosen if w]
     means = [sum((w * one.totals[q] for w, one in drawn), ZERO) for q in range(len(rows) + 1)]
     paid = [max(one) for one in zip(most, means[1:], strict=True)]
     lower = lower_bound(program, best[1], best[2][0], paid) or ZERO

@@ -455,7 +455,7 @@ def test_a_games_value_proves_no_more_than_it_does_in_fractions():
         alpha, stake, spare = rng.uniform(0.01, 1.0), rng.uniform(0.1, 100.0), rng.uniform(0.0, 0.1)
         least = (1.0 - alpha) * stake * (1.0 + spare**8)
         game = Game(stake, 0.25)
-        told = _threshold_from_game_value(Equilibrium(game, reply, reply, alpha, least, least, ()))
+        told = _threshold_from_game_value(Equilibrium(game, reply, reply, alpha, least, ()))
         weight = Fraction(alpha)
         exact = (Fraction(least) - (1 - weight) * Fraction(stake)) / weight
         assert told <= exact
@@ -468,7 +468,7 @@ def test_a_game_whose_value_is_what_is_owed_proves_nothing_but_rounding():
     for alpha in (1e-6, 0.3, 0.5, 1.0):
         game = Game(7.0, 0.25)
         least = game.owed(alpha, 0.0)
-        told = _threshold_from_game_value(Equilibrium(game, reply, reply, alpha, least, least, ()))
+        told = _threshold_from_game_value(Equilibrium(game, reply, reply, alpha, least, ()))
         assert -1e-14 * 7.0 / alpha <= told <= 0.0
 
 
