@@ -46,7 +46,7 @@ Asked = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class _CommandModel:
-    """A model, its start, and the Gymnasium environment that it is made from, if any."""
+    """A model with its start, and the Gymnasium environment from which it was made, if any."""
 
     asked: Asked
     model: SSP
@@ -310,7 +310,7 @@ def with_property(asked: Asked) -> Asked:
 
 
 def _operators_in(words: str) -> list[_Operator]:
-    """Return the operators of a property, one or several in ``multi( , )``.
+    """Return the operators of a property: one, or several in ``multi( , )``.
 
     Raises:
         ModelError: words that are not an operator.
@@ -342,7 +342,7 @@ def json_answer(answer: Any) -> list[str]:
 
 
 def _csv_answer(path: str, table: Table) -> list[str]:
-    """Return the lines of a table as CSV, or write them to a file and return no line."""
+    """Return a table as lines of CSV; or write them to a file, and return no lines."""
     if path == "-":
         return table.csv().splitlines()
     Path(path).write_text(table.csv(), encoding="utf-8")

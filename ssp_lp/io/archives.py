@@ -79,14 +79,14 @@ def write_archive(
 
 
 class _Arrays(dict[str, Array]):
-    """Arrays of an archive, each unpacked on first use."""
+    """Arrays of an archive by name, each unpacked on first use."""
 
     def __init__(self, archive: Any) -> None:
         """Wrap an archive that numpy has opened."""
         self._archive = archive
 
     def __missing__(self, name: str) -> Array:
-        """Return an array in the machine's own byte order.
+        """Unpack an array and return it in the machine's byte order.
 
         Raises:
             ModelError: the array is damaged or missing.
@@ -133,7 +133,7 @@ def _header_of(archive: Any, kind: str) -> Any:
 
 @contextmanager
 def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
-    """Open an archive as a context with its header and arrays; nothing in it is executed.
+    """Open an archive and yield its header and its arrays; nothing in it is executed.
 
     Raises:
         ModelError: naming the file: no such archive, of a later version than this library reads,
@@ -185,7 +185,7 @@ def save_model(model: SSP, path: FilePath) -> None:
     check_model(model, "save_model")
 
     def stated(names: Sequence[Hashable]) -> list[Any] | None:
-        """Return names as JSON values; None if they equal their positions."""
+        """Return names as JSON values, or None if they are their positions."""
         if isinstance(names, range):
             return None
         return [name if isinstance(name, float) else label_value(name) for name in names]
@@ -216,10 +216,10 @@ def save_model(model: SSP, path: FilePath) -> None:
 
 
 class StoredModel:
-    """A file of :func:`save_model`, of which ranges of states can be read."""
+    """A file of :func:`save_model` from which the rows of some states can be read alone."""
 
     def __init__(self, path: FilePath) -> None:
-        """Read the content of the file except for rows of states.
+        """Read the goals, the sets of states and the number of states.
 
         Raises:
             ModelError: naming the file: not of this format, or damaged.
@@ -324,7 +324,7 @@ def load_model(path: FilePath) -> SSP:
 
 
 def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:
-    """Return the names at some positions in an archive."""
+    """Return the names at some positions; ``what`` they name is for the error."""
     if ((numbers < 0) | (numbers >= len(names))).any():
         raise ModelError(f"there are {what} without a name")
     return [names[k] for k in numbers.tolist()]
@@ -384,7 +384,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
 def _policy_in(
     header: Mapping[str, Any], arrays: Mapping[str, Array], model: SSP, *, check: bool
 ) -> AnyPolicy:
-    """Return the policy in an archive's header; see :func:`load_policy`.
+    """Return the policy of an archive on a model, as :func:`load_policy` does.
 
     Raises:
         ModelError: the model is another one.
@@ -407,7 +407,7 @@ def _policy_in(
     made: list[AnyPolicy] = []
 
     def meant(value: Any) -> Any:
-        """Return a field: an array by name, policies by number, or the value itself."""
+        """Return the value of a field: an array, policies made before, or the value itself."""
         if isinstance(value, str):
             return arrays[value]
         if isinstance(value, list):
@@ -437,10 +437,10 @@ _CLASSES: dict[str, type[Any]] = {
 
 
 class _PolicyRecords:
-    """The records of a policy and of all its parts, each after its own parts."""
+    """Records of a policy and of the policies that it consists of, each after its parts."""
 
     def __init__(self) -> None:
-        """Begin without records."""
+        """Begin an archive without records."""
         self.arrays: dict[str, Array] = {}
         self._records: list[dict[str, Any]] = []
         self._models: dict[int, SSP] = {}  # id -> model of a part
@@ -448,7 +448,7 @@ class _PolicyRecords:
         self._named: dict[Any, str] = {}  # content of an array -> its name
 
     def header(self, policy: AnyPolicy) -> dict[str, Any]:
-        """Return the header of an archive for a policy and its model.
+        """Add a policy and return the header of its archive.
 
         Raises:
             ModelError: the policy cannot be saved, or its parts are on several models.
@@ -482,14 +482,14 @@ class _PolicyRecords:
         }
 
     def add_array(self, array: Array) -> str:
-        """Return the name of an array in the archive; equal arrays are stored once."""
+        """Add an array unless an equal one is there, and return its name."""
         key = array.dtype.str, array.shape, array.tobytes()
         name = self._named.setdefault(key, f"array{len(self._named)}")
         self.arrays[name] = array
         return name
 
     def _add(self, policy: AnyPolicy) -> int:
-        """Return the number of a policy's record in the archive, which is stored once.
+        """Add a policy unless it is there, and return the number of its record.
 
         Raises:
             ModelError: the policy or a part of it is of an unsupported class.
@@ -512,7 +512,7 @@ class _PolicyRecords:
         return self._known.setdefault(id(policy), len(self._records) - 1)
 
     def _stated(self, value: Any) -> Any:
-        """Return a policy's field as JSON for an archive."""
+        """Return the value of a field in JSON: arrays by name, policies by number."""
         if isinstance(value, np.ndarray):
             return self.add_array(value)
         if isinstance(value, (Policy, MixedPolicy)):
@@ -560,11 +560,11 @@ def save_solution(solution: Solution, path: FilePath) -> None:
 
 @explained
 def load_solution(path: FilePath, problem: Problem) -> Solution:
-    """Read a solution from its archive, for its restated problem; ``certify`` agrees.
+    """Read a solution from its archive; ``certify`` accepts it as it does the saved one.
 
     Args:
         path: a file of :func:`save_solution`.
-        problem: the problem, on the same model.
+        problem: the problem that was solved, stated again on the same model.
 
     Raises:
         ModelError: the file has no solution, the model is another one, or the problem has another
@@ -589,7 +589,7 @@ def load_solution(path: FilePath, problem: Problem) -> Solution:
 
 
 def _solution_words(problem: Problem) -> dict[str, Any]:
-    """Return the arguments in a solution's archive that identify its problem on the model."""
+    """Return the arguments of a problem that an archive stores, to recognise the problem."""
     semantics, measure = problem.semantics, problem.semantics.measure
     return {
         "criterion": type(problem).__name__,
@@ -606,7 +606,7 @@ def _solution_words(problem: Problem) -> dict[str, Any]:
 
 
 def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[Any, Any]) -> None:
-    """Raise :class:`ModelError` unless an archive's solution belongs to the problem."""
+    """Raise :class:`ModelError` unless a problem has the arguments that an archive stores."""
     for name, stated in _solution_words(problem).items():
         saved = kept[name]
         same = saved == stated
@@ -683,7 +683,7 @@ def fingerprint(model: SSP) -> str:
 
 @kept
 def pair_print(model: SSP) -> str:
-    """Return the SHA-256 of a model's pairs by state, which a policy depends on."""
+    """Return the SHA-256 of the numbers of pairs by state, on which a policy depends."""
     digest = sha256(b"ssp-lp pairs 1")
     _hash_array(digest.update, "pair_offsets", model.pair_offsets)
     return digest.hexdigest()
@@ -699,7 +699,7 @@ def _hash_array(update: Callable[[bytes], None], name: str, array: Array) -> Non
 
 
 def label_value(label: Hashable) -> Any:
-    """Return a label as a JSON value: str, int, float, bool, None; tuples as lists.
+    """Return a label (str, int, float, bool, None or a tuple of labels) as a JSON value.
 
     Raises:
         ModelError: it is or contains any other value, or a number that is not finite.
@@ -722,9 +722,10 @@ def label_value(label: Hashable) -> Any:
 
 
 def stated_value(label: Hashable) -> Any:
-    """Return a value as JSON, equal in every process; labels as in :func:`label_value`.
+    """Return a value as JSON that is equal in every process.
 
-    Sets, fractions, members of enumerations and dataclasses become objects that name them.
+    Labels are as in :func:`label_value`. Sets, fractions, members of enumerations and dataclasses
+    become objects that name them.
 
     Raises:
         ModelError: it is or contains any other value.

@@ -119,7 +119,7 @@ _MEMBER = """typedef struct {
 
 @explained
 def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = "policy") -> None:
-    """Write a policy as a C99 header, with tables and one function, for a machine that acts by it.
+    """Write a policy as a C99 header with tables and a function that looks up actions.
 
     The function ``policy_action(&episode, state, total, uniform)`` takes the number of the state in
     the model, the total paid so far and a uniform random number, and returns the number of an
@@ -190,7 +190,7 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
 
 
 def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
-    """Return the fields of a member's struct except the first, by name; lists are tables.
+    """Return the fields of a member's struct by name, without ``upto``; a list is a table.
 
     Args:
         stated: the member as in a controller's file.

@@ -97,7 +97,7 @@ def from_matrices(
 
 
 def _matrix(matrix: Any) -> Any:
-    """Return a transition matrix, sparse, without entries that are 0."""
+    """Return a transition matrix as a sparse one without entries of 0."""
     try:
         entries = sp.csr_array(matrix, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
@@ -110,7 +110,7 @@ def _matrix(matrix: Any) -> Any:
 def _paid_by_matrix(
     given: Any, state: IntArray, action: IntArray, target: IntArray, matrices: Sequence[Any]
 ) -> FloatArray:
-    """Return the cost of each outcome from matrices of costs or rewards, [outcomes]."""
+    """Return the entry of each outcome in costs or rewards of any shape, [outcomes]."""
     n_states, n_actions = matrices[0].shape[0], len(matrices)
     if isinstance(given, (list, tuple)) and any(sp.issparse(part) for part in given):
         if len(given) != n_actions or any(part.shape != matrices[0].shape for part in given):

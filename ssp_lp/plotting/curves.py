@@ -31,7 +31,7 @@ INK, PALE = "#333333", "#777777"
 
 
 class _Look(NamedTuple):
-    """Style of one of several elements of a plot, which differ in more than colour."""
+    """Style of a curve or a bar; styles differ in more than their colours."""
 
     colour: str
     line: str | tuple[int, tuple[int, ...]]
@@ -215,7 +215,7 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
 
 @dataclass
 class BoundsRecord:
-    """Record of the reports of ``solve`` while it runs: ``progress=BoundsRecord()``. Mutable."""
+    """Record of the progress of ``solve``, to which it is passed as ``progress``. Mutable."""
 
     began: float = field(default_factory=time.perf_counter)
     seconds: list[float] = field(default_factory=list)  # [reports] since then
@@ -223,7 +223,7 @@ class BoundsRecord:
     objectives: list[float] = field(default_factory=list)  # [reports] of the best policy so far
 
     def __call__(self, calls: int, price: float, objective: float) -> None:
-        """Store a report."""
+        """Add a report of ``solve``."""
         self.seconds.append(time.perf_counter() - self.began)
         self.prices.append(price)
         self.objectives.append(objective)
@@ -340,7 +340,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
 
 
 def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
-    """Return the bars of the plotted cost law: middles, probabilities given success, and width."""
+    """Return the bars of a cost law: middles, probabilities given success, and their width."""
     costs, masses = law.all_but(_UNSEEN * law.goal)
     shares = masses / law.goal
     if len(costs) <= 1:

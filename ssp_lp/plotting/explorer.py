@@ -50,7 +50,7 @@ class Explorer:
     page: str  # HTML
 
     def write(self, path: str | Path) -> None:
-        """Write the page; raise :class:`ModelError` unless the name ends in .html or .htm."""
+        """Write the page to a file whose name ends in .html or .htm."""
         _check_page_name(path)
         Path(path).write_text(self.page, encoding="utf-8")
 
@@ -65,7 +65,7 @@ class Explorer:
 
 
 def _check_page_name(path: str | Path) -> None:
-    """Raise :class:`ModelError` unless the file's name has an ending of web pages."""
+    """Raise :class:`ModelError` unless the name of a file ends in .html or .htm."""
     if Path(path).suffix not in (".html", ".htm"):
         raise ModelError(f"a page's name must end in .html, not {str(path)!r}")
 
@@ -181,7 +181,7 @@ def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]
 def _laws(
     policies: list[MixedPolicy], problem: Problem, in_region: BoolArray
 ) -> dict[str, Any] | None:
-    """Return the probability of each total cost and success, in bars common to all points.
+    """Return probabilities of total costs at each turning point, in the same bars for all.
 
     None if the goal is never reached, or costs are too many.
     """
@@ -212,7 +212,7 @@ def _short(numbers: FloatArray) -> list[float]:
 
 
 def _are_points(model: SSP) -> bool:
-    """Return whether most states are pairs of numbers: places in the plane."""
+    """Return whether most states are pairs of numbers, which are points in the plane."""
     return sum(map(_is_point, model.states)) > 0.5 * model.n_states
 
 
@@ -226,7 +226,7 @@ def _is_point(state: object) -> bool:
 
 
 def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
-    """Return the position of each state, nan for none, [states, 2]; None: too large a model."""
+    """Return the point of each state, nan for none, [states, 2]; None if nothing is drawn."""
     model = problem.model
     if cells is not None:
         return plane.cells_of(model, cells)
@@ -236,7 +236,7 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
 
 
 def _layout(problem: Problem) -> FloatArray:
-    """Return positions of a small model's states by distance from the start, [states, 2]."""
+    """Return points for the states of a graph, by their distance from the start, [states, 2]."""
     model = problem.model
     begun = np.flatnonzero(start_distribution(model, problem.start) > 0.0)
     rows = segment_ids(model.pair_offsets)[segment_ids(model.outcome_offsets)]
@@ -259,7 +259,7 @@ def _plane(
     *,
     is_graph: bool,
 ) -> dict[str, Any]:
-    """Return the visits of each place, and the flow along each arrow, at each turning point."""
+    """Return the visits of each cell, and the flow along each arrow, at each turning point."""
     model, (middles, place) = problem.model, plane.distinct_points(points)
     known = place >= 0
     owner, outcome_pair = segment_ids(model.pair_offsets), segment_ids(model.outcome_offsets)

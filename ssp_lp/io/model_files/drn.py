@@ -245,7 +245,7 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
 
 @explained
 def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
-    """Write a model as a DRN file for Storm; packed for it if the name ends in .gz or .xz.
+    """Write a model as a DRN file for Storm, packed if the name ends in .gz or .xz.
 
     State k of the file is the k-th of ``model.states``. Each cost is an action reward, the model's
     own first, called "cost" if it has no name. If outcomes of an action differ in cost, the action
