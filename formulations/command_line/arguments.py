@@ -236,14 +236,14 @@ def _add_all(place: Any, options: Options) -> None:
             added.complete = _FILES
 
 
-def _taken(said: str, metavar: str, kind: Callable[[str], Any] = str, **more: Any) -> Any:
+def _taken(text: str, metavar: str, kind: Callable[[str], Any] = str, **more: Any) -> Any:
     """Return argparse's settings of an option with a value."""
-    return {"help": said, "metavar": metavar, "type": kind, **more}
+    return {"help": text, "metavar": metavar, "type": kind, **more}
 
 
-def _switch(said: str, **more: Any) -> Any:
+def _switch(text: str, **more: Any) -> Any:
     """Return argparse's settings of a flag."""
-    return {"help": said, "action": "store_true", **more}
+    return {"help": text, "action": "store_true", **more}
 
 
 _QUESTION: Options = {

@@ -284,29 +284,29 @@ def with_property(asked: Asked) -> Asked:
     if (objective.measure, objective.relation) not in {("P", "max=?"), ("R", "min=?")}:
         raise ModelError(f"{objective.words}: the objective must be Pmax=? or Rmin=?")
     (goal,) = goals
-    told: dict[str, Any] = {"goal": [goal], "limit": list(asked["limit"])}
+    stated: dict[str, Any] = {"goal": [goal], "limit": list(asked["limit"])}
     if objective.measure == "P":
-        told["criterion"] = "maxprob"
+        stated["criterion"] = "maxprob"
     elif reaching:
         least = max(number_argument(one.bound) for one in reaching)
-        told |= {"criterion": "mcmp", "failure_budget": float(1 - least), "cost": objective.cost}
+        stated |= {"criterion": "mcmp", "failure_budget": float(1 - least), "cost": objective.cost}
     else:
-        told |= {"criterion": "min-cost", "cost": objective.cost}
+        stated |= {"criterion": "min-cost", "cost": objective.cost}
     for one in operators:
         if one.relation == "<=":
             limited = (one.cost or "cost") if one.measure == "R" else f"end({one.target})"
-            told["limit"].append(f"{limited} <= {one.bound}")
+            stated["limit"].append(f"{limited} <= {one.bound}")
         elif one.measure == "R" and one is not objective:
             raise ModelError(f"{one.words}: a cost can have an upper bound only")
     steps = {one.steps for one in operators if one.steps is not None}
     if steps:
         if len(steps) > 1 or any(one.steps is None and one.target == goal for one in operators):
             raise ModelError(f"{words}: all operators must have the same number of steps")
-        told["horizon"] = int(*steps)
+        stated["horizon"] = int(*steps)
     for name in ("goal", "cost"):
-        if asked[name] and asked[name] != told.get(name, asked[name]):
+        if asked[name] and asked[name] != stated.get(name, asked[name]):
             raise ModelError(f"--{name} contradicts the property {words}")
-    return {**asked, **{name: word for name, word in told.items() if word is not None}}
+    return {**asked, **{name: word for name, word in stated.items() if word is not None}}
 
 
 def _operators_in(words: str) -> list[_Operator]:

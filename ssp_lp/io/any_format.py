@@ -71,14 +71,14 @@ def read_any(
         return read_json(file, goals, cost, dead_ends)
     if ending == _ARCHIVE:
         if goals:
-            told = f"{file.name} has the goal states already: leave "
-            raise ModelError(told, Argument("goal"), " out")
+            message = f"{file.name} has the goal states already: leave "
+            raise ModelError(message, Argument("goal"), " out")
         model = load_model(file)
         model = model if cost in (None, FIRST_COST) else model.with_cost(cost)
         return StatedModel(model.with_dead_ends(dead_ends))
     if len(goals) != 1:
-        told = f"{file}: name the one label whose states are goals ("
-        raise ModelError(told, Argument("goal"), ")")
+        message = f"{file}: name the one label whose states are goals ("
+        raise ModelError(message, Argument("goal"), ")")
     more: dict[str, Any] = {"constants": constants} if ending in _STORM else {}
     found = _READERS[ending](file, goal=goals[0], cost=cost, dead_ends=dead_ends, **more)
     return StatedModel(found.model, found.start if len(found.initial_states) == 1 else None)
@@ -89,8 +89,8 @@ def _csv_model(
 ) -> SSP:
     """Return the model of a CSV file: columns that describe outcomes, and columns of costs."""
     if not goals:
-        told = f"{file.name} does not list the goal states: name them by "
-        raise ModelError(told, Argument("goal"))
+        message = f"{file.name} does not list the goal states: name them by "
+        raise ModelError(message, Argument("goal"))
     columns = csv_columns(file)
     for name in _OUTCOME:
         if name not in columns:

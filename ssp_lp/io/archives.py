@@ -72,9 +72,9 @@ def write_archive(
         arrays: by name.
     """
     whole = {"format": f"ssp-lp {kind}", "version": _VERSION, **header}
-    told = np.frombuffer(json.dumps(whole, default=np.generic.item).encode(), dtype=np.uint8)
+    packed = np.frombuffer(json.dumps(whole, default=np.generic.item).encode(), dtype=np.uint8)
     with Path(path).open("wb") as file:
-        named: dict[str, Any] = {_HEADER: told, **arrays}
+        named: dict[str, Any] = {_HEADER: packed, **arrays}
         np.savez_compressed(file, **named)
 
 
@@ -126,8 +126,8 @@ def _header_of(archive: Any, kind: str) -> Any:
     if type(version) is not int or not 1 <= version <= _VERSION:
         newer = type(version) is int and version > _VERSION
         remedy = "install a newer ssp-lp" if newer else f"write the {kind} again with this one"
-        told = f"it has version {version!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
-        raise ModelError(told)
+        message = f"it has version {version!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
+        raise ModelError(message)
     return header
 
 
@@ -199,7 +199,7 @@ def save_model(model: SSP, path: FilePath) -> None:
         "exact_costs": [[cost, str(exact)] for cost, exact in model.exact_costs.items()],
         "named_costs": list(model.named_costs),
     }
-    found = {
+    stored = {
         "pair_action": model.pair_action,
         "pair_offsets": model.pair_offsets,
         "outcome_offsets": model.outcome_offsets,
@@ -210,7 +210,7 @@ def save_model(model: SSP, path: FilePath) -> None:
         "label_offsets": np.cumsum([0, *(len(at) for at in members)]),
         "label_members": np.concatenate([np.zeros(0, dtype=np.int64), *members]),
     }
-    arrays = {name: found[name].astype(f"<{kind}") for name, kind in _ARRAYS.items()}
+    arrays = {name: stored[name].astype(f"<{kind}") for name, kind in _ARRAYS.items()}
     named = {f"costs {k}": costs for k, costs in enumerate(model.named_costs.values())}
     write_archive(path, "model", header, arrays | named)
 
@@ -265,10 +265,10 @@ class StoredModel:
                 if more or kind.hasobject or end > length:
                     raise ValueError(_OTHER_ARRAY.format(name))
                 file.seek(begin * kind.itemsize, SEEK_CUR)
-                found = np.frombuffer(file.read((end - begin) * kind.itemsize), dtype=kind)
+                entries = np.frombuffer(file.read((end - begin) * kind.itemsize), dtype=kind)
         except Exception as damage:  # zipfile, zlib and numpy raise a dozen kinds
             raise ModelError(f"{self._path} is damaged: {damage!r}") from damage
-        return found.astype(kind.newbyteorder("=")), length
+        return entries.astype(kind.newbyteorder("=")), length
 
 
 @explained
@@ -299,8 +299,8 @@ def load_model(path: FilePath) -> SSP:
             raise ModelError("the names of states must be one for each")
         if actions is not None:
             actions = _named_in_archive(actions, arrays["pair_action"], "actions")
-        known = range(n_states) if states is None else states
-        members = _named_in_archive(known, arrays["label_members"], "members of labels")
+        labels_of_states = range(n_states) if states is None else states
+        members = _named_in_archive(labels_of_states, arrays["label_members"], "members of labels")
         check_offsets("label_offsets", labels, len(members))
         marked = [members[begin:end] for begin, end in pairwise(labels.tolist())]
         for _, text in header["exact_costs"]:
@@ -404,22 +404,22 @@ def _policy_in(
             Argument("check", False),
             f" if it differs on purpose{remedy}",
         )
-    made: list[AnyPolicy] = []
+    parts: list[AnyPolicy] = []
 
     def meant(value: Any) -> Any:
-        """Return the value of a field: an array, policies made before, or the value itself."""
+        """Return the value of a field: an array, parts made before, or the value itself."""
         if isinstance(value, str):
             return arrays[value]
         if isinstance(value, list):
-            return tuple(made[k] for k in value)
-        return made[value] if type(value) is int else value
+            return tuple(parts[k] for k in value)
+        return parts[value] if type(value) is int else value
 
     for record in records:
         kind = _CLASSES[record.pop("kind")]
         on_model = {"model": model} if any(part.name == "model" for part in fields(kind)) else {}
         stated = {name: meant(value) for name, value in record.items() if value is not None}
-        made.append(kind(**stated, **on_model))
-    return made[-1]
+        parts.append(kind(**stated, **on_model))
+    return parts[-1]
 
 
 _CLASSES: dict[str, type[Any]] = {
@@ -666,7 +666,7 @@ def fingerprint(model: SSP) -> str:
         for names in (model.states, model.action_names)
     )
     exact = [[float(k).hex(), str(v)] for k, v in sorted(model.exact_costs.items())]
-    labels = {name: found.tolist() for name, found in model.state_labels.items()}
+    labels = {name: members.tolist() for name, members in model.state_labels.items()}
     words: dict[str, Any] = {
         "states": states,
         "actions": actions,

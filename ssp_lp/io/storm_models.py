@@ -107,8 +107,8 @@ def read_with_storm(
     _check_kind(_ask_storm(file, getattr, program, "model_type").name, file)
     program, _ = _ask_storm(file, stormpy.instantiate_constants, program, constants or {})
     if missing := [constant.name for constant in program.constants if not constant.defined]:
-        told = f"{file} has undefined constants: {', '.join(missing)}; give their values ("
-        raise ModelError(told, Argument("constants"), ")")
+        message = f"{file} has undefined constants: {', '.join(missing)}; give their values ("
+        raise ModelError(message, Argument("constants"), ")")
     return _explored_program(stormpy, file, program, goal, cost, dead_ends)
 
 
@@ -117,7 +117,7 @@ def _explored_program(
 ) -> ModelFile:
     """Explore a program whose constants have values, and return its model."""
 
-    def asked(source: str, text: str) -> Any:
+    def property_in(source: str, text: str) -> Any:
         """Return the property that a text states; ``source`` is its name in errors."""
         parsed = _ask_storm(source, stormpy.parse_properties, text, program)
         if len(parsed) != 1:
@@ -127,16 +127,16 @@ def _explored_program(
     labels = [] if _is_jani(program) else [label.name for label in program.labels]
     listed = f" (labels: {', '.join(map(repr, labels))})" if labels else ""
     quoted = f'"{goal}"' if goal in (raw_model.INITIAL, raw_model.DEADLOCK, *labels) else goal
-    formula = asked(f"{file}, goal {goal!r}{listed}", quoted)
+    formula = property_in(f"{file}, goal {goal!r}{listed}", quoted)
     # given a condition alone, Storm would not explore beyond the states in which it holds
-    wanted = [formula, asked(str(file), "true")]
-    known = _reward_names(program)
-    place = raw_model.chosen_reward(file, known, cost)
+    wanted = [formula, property_in(str(file), "true")]
+    reward_names = _reward_names(program)
+    place = raw_model.chosen_reward(file, reward_names, cost)
 
     def built(rewards: list[str] | None) -> Any:
         """Return Storm's sparse model with some rewards; None: all."""
         formulas = [f'R{{"{name}"}}min=? [C]' if name else "Rmin=? [C]" for name in rewards or ()]
-        conditions = [*wanted, *(asked(str(file), text) for text in formulas)]
+        conditions = [*wanted, *(property_in(str(file), text) for text in formulas)]
         options = _ask_storm(file, stormpy.BuilderOptions, conditions, program)
         options.set_build_all_labels()
         options.set_build_choice_labels()
@@ -148,7 +148,7 @@ def _explored_program(
         return _ask_storm(file, stormpy.build_model, program, options=options)
 
     sparse = _with_most_rewards(
-        built, known, None if cost == raw_model.FIRST_COST else place, program
+        built, reward_names, None if cost == raw_model.FIRST_COST else place, program
     )
     answer = _model_of_storm(sparse, goal, formula, cost, str(file), dead_ends, program)
     model = answer.model

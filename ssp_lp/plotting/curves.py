@@ -188,11 +188,11 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
         value = frontier.objective_at(budget)
     except SolverError:
         low, high = frontier.bounds_at(budget)
-        told = f"{low:.5g} to {high:.5g}"
+        interval = f"{low:.5g} to {high:.5g}"
         if f"{low:.5g}" == f"{high:.5g}":
-            told = f"{high:.5g}, to {high - low:.0e}"
+            interval = f"{high:.5g}, to {high - low:.0e}"
         ax.plot([budget, budget], [low, high], "_-", color=look.colour, linewidth=2, markersize=14,
-                zorder=5, markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
+                zorder=5, markeredgewidth=2, label=f"budget {budget:g}: {interval}")  # fmt: skip
         return
     digits = int(np.clip(-np.log10(frontier.gap), 2, 5))  # as many as the gap leaves certain
     certain = float(f"{value:.{digits}g}")
@@ -208,8 +208,8 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
     if slopes:
         by_failure = frontier.ratio and frontier.over == "failure"
         prices = sorted(abs(slope) * (1.0 - budget if by_failure else 1.0) for slope in slopes)
-        told = " to ".join(f"{price:.4g}" for price in prices)
-        words = f"tangent{'s' * (len(prices) - 1)}: {frontier.over} price {told}"
+        listed = " to ".join(f"{price:.4g}" for price in prices)
+        words = f"tangent{'s' * (len(prices) - 1)}: {frontier.over} price {listed}"
         ax.plot([], [], color=INK, linestyle="-.", linewidth=1, label=words)
 
 

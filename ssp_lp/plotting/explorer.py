@@ -111,8 +111,8 @@ def explore(
     """
     check_whole("episodes", episodes, 0)
     if not isinstance(frontier, Frontier) or frontier.problem is None:
-        told = f"explore takes a frontier of a problem, not {in_short(frontier)}"
-        raise ModelError(f"{told}; trace_frontier(problem) makes one")
+        message = f"explore takes a frontier of a problem, not {in_short(frontier)}"
+        raise ModelError(f"{message}; trace_frontier(problem) makes one")
     if path is not None:
         _check_page_name(path)
     problem = frontier.problem
@@ -148,10 +148,10 @@ def explore(
 
 def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]) -> dict[str, Any]:
     """Return the data of each turning point."""
-    listed = (entry for found in evaluations for entry in found.ends.items())
+    listed = (entry for each in evaluations for entry in each.ends.items())
     names = list(dict.fromkeys(name for name, share in listed if share > 1e-12))  # else rounding
-    reached = np.array([found.goal_probability for found in evaluations])
-    paid = np.array([found.conditional_cost for found in evaluations])
+    reached = np.array([each.goal_probability for each in evaluations])
+    paid = np.array([each.conditional_cost for each in evaluations])
     region, spent = frontier.region, frontier.spent
     begin = problem.failure_budget if frontier.over == "failure" else None
     begin = 0.5 * sum(region) if begin is None else begin
@@ -166,13 +166,13 @@ def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]
         "price": frontier.price.tolist(),
         "region": list(region),
         "begin": float(f"{np.clip(begin, spent[0], spent[-1]):.4g}"),
-        "failing": [found.failure_probability for found in evaluations],
+        "failing": [each.failure_probability for each in evaluations],
         "reached": reached.tolist(),
         "paid": np.where(reached > 0.0, paid * reached, 0.0).tolist(),
         "end_names": [name.replace("_", " ") for name in names],
-        "ends": [[found.ends.get(name, 0.0) for name in names] for found in evaluations],
+        "ends": [[each.ends.get(name, 0.0) for name in names] for each in evaluations],
         "quantities": {
-            name: [found.secondary_costs[name] for found in evaluations]
+            name: [each.secondary_costs[name] for each in evaluations]
             for name in evaluations[0].secondary_costs
         },
     }
@@ -317,7 +317,7 @@ def _runs(
     words = ["goal", *model.state_labels, "dead-end", "gave up, or goes on"]
     placed = plane.with_point(points)
 
-    def told(path: IntArray) -> dict[str, Any]:
+    def run_of(path: IntArray) -> dict[str, Any]:
         """Return the data of a run."""
         mark = int(marks[int(path[-1])])
         steps = path[placed[path]][:300]  # longer lines hide the plane
@@ -326,7 +326,7 @@ def _runs(
     runs = []
     for policy in policies:
         played = simulate(policy, problem, episodes=max(episodes, 1), seed=seed, record=episodes)
-        runs.append([told(path) for path in played.paths])
+        runs.append([run_of(path) for path in played.paths])
     aside = np.random.default_rng(seed).uniform(-_SPREAD, _SPREAD, (episodes, 2))
     where = np.where(placed[:, None], points, 0.0)
     return {"runs": runs, "points": where.tolist(), "aside": aside.tolist()}

@@ -290,15 +290,15 @@ def _plot_policies(
     most = max(seen.visits.max(initial=0.0) for seen in drawn) if most is None else most
     for ax, seen in zip(axes, drawn, strict=True):
         draw_ground(ax, problem, points, walls)
-        some = seen.visits > 0.0
-        corners = (seen.middles[some] - 0.5).tolist()
+        visited = seen.visits > 0.0
+        corners = (seen.middles[visited] - 0.5).tolist()
         shades = collections.PatchCollection(
             [patches.Rectangle(tuple(corner), 1.0, 1.0) for corner in corners],
             cmap=colors.LinearSegmentedColormap.from_list("visits", ["white", "#6baed6"]),
             norm=colors.Normalize(0.0, max(most, _UNSEEN)),
             zorder=1,
         )
-        shades.set_array(seen.visits[some])
+        shades.set_array(seen.visits[visited])
         ax.add_collection(shades)
         _draw_decisions(ax, seen, directions)
         add_legend(ax)

@@ -158,14 +158,14 @@ def _stated_model(
         dead_ends = [*map(str, listed_ends)]  # for another goal they need not be dead-ends
     goal = goal or own_goal
     if not goal:
-        told = f"{source} does not list the goal states: name them by "
-        raise ModelError(told, Argument("goal"))
+        message = f"{source} does not list the goal states: name them by "
+        raise ModelError(message, Argument("goal"))
     transitions: dict[Hashable, Any] = {}
     counted = set[str]()
     for state, actions in (listed or {}).items():
         if not isinstance(actions, dict):
-            told = f"state {state!r} needs {{action: [[probability, successor, cost], ...]}}"
-            raise ModelError(told)
+            message = f"state {state!r} needs {{action: [[probability, successor, cost], ...]}}"
+            raise ModelError(message)
         transitions[state] = {
             name: [
                 _json_outcome(f"action {name!r} of state {state!r}", outcome, cost, counted)
@@ -215,8 +215,8 @@ def _json_outcome(
         counted.add(_counted_cost(where, named, cost))
         paid = {name: _json_number(value) for name, value in named.items()}
     elif cost not in (None, FIRST_COST):
-        told = f"{where}: the costs of this model have no names such as {cost!r}: leave out "
-        raise ModelError(told, Argument("cost"))
+        message = f"{where}: the costs of this model have no names such as {cost!r}: leave out "
+        raise ModelError(message, Argument("cost"))
     return _json_number(chance), str(successor), _json_number(paid)
 
 
@@ -226,9 +226,9 @@ def _counted_cost(where: str, costs: Mapping[str, Any], cost: str | None) -> str
         return cost
     if costs and (cost == FIRST_COST or (cost is None and len(costs) == 1)):
         return next(iter(costs))
-    said = "" if cost is None else f", not {cost!r}{did_you_mean(cost, costs)}"
-    known = f"{', '.join(map(repr, costs))}, or {UNIT!r}, which is 1 for each step"
-    raise ModelError(f"{where}: choose one of the costs (", Argument("cost"), f"): {known}{said}")
+    hint = "" if cost is None else f", not {cost!r}{did_you_mean(cost, costs)}"
+    choices = f"{', '.join(map(repr, costs))}, or {UNIT!r}, which is 1 for each step"
+    raise ModelError(f"{where}: choose one of the costs (", Argument("cost"), f"): {choices}{hint}")
 
 
 def _json_number(value: Any) -> Any:
@@ -270,8 +270,8 @@ def model_in_json(
 
     def paid(costs: Sequence[float]) -> Any:
         """Return the cost of an outcome: a number, or several by name, fractions as strings."""
-        told = [str(model.exact_costs.get(cost, "")) or cost for cost in costs]
-        return dict(zip(by_name, told, strict=True)) if model.named_costs else told[0]
+        amounts = [str(model.exact_costs.get(cost, "")) or cost for cost in costs]
+        return dict(zip(by_name, amounts, strict=True)) if model.named_costs else amounts[0]
 
     numbers = model.probabilities, model.successors, *by_name.values()
     for state, name in enumerate(names):

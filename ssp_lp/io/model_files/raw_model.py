@@ -140,20 +140,36 @@ def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int
     places = [k for k, name in enumerate(names) if cost in (None, name)]
     if len(places) == 1:
         return places[0]
-    said = "" if cost is None else f"no reward model {cost!r}; "
+    unknown = "" if cost is None else f"no reward model {cost!r}; "
     choices = ", ".join(map(repr, names)) or "none"
-    message = f"{source}: {said}choose one of the reward models ("
+    message = f"{source}: {unknown}choose one of the reward models ("
     raise ModelError(message, Argument("cost"), f"): {choices}")
 
 
-def named_rewards(names: Sequence[str], costs: Sequence[FloatArray]) -> dict[str, FloatArray]:
-    """Return the costs of the reward models by name, if the name belongs to only one of them.
+def costs_of_rewards(
+    source: object, names: Sequence[str], rewards: Sequence[FloatArray], cost: str | None, size: int
+) -> dict[str, Any]:
+    """Return the fields ``costs`` and ``named_costs`` of a raw model.
 
-    A reward model without a name is "" among several; if it is the only one it has no name. Without
-    reward models there are no named costs.
+    The named costs are those of the reward models whose name belongs to only one of them. A reward
+    model without a name is "" among several; if it is the only one it has no name.
+
+    Args:
+        source: name of the model in errors.
+        names: of the reward models.
+        rewards: of each outcome, [outcomes] each; none: every outcome costs 1.
+        cost: name of the cost, as in :func:`chosen_reward`.
+        size: number of outcomes.
+
+    Raises:
+        ModelError: no reward model has this name, or there are several to choose from.
     """
-    named = zip(names, costs, strict=False)  # the costs of 1 of no reward model have no name
-    return {name: paid for name, paid in named if names.count(name) == 1 and names != [""]}
+    place = chosen_reward(source, names, cost)
+    named = zip(names, rewards, strict=False)  # rewards without a declared reward model
+    return {
+        "costs": rewards[place or 0] if rewards else np.ones(size),
+        "named_costs": {n: paid for n, paid in named if names.count(n) == 1 and names != [""]},
+    }
 
 
 INITIAL, DEADLOCK, PAYING = "init", "deadlock", "paying"

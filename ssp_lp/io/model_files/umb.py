@@ -121,11 +121,9 @@ class UmbArchive:
         successors = self._array("branch-to-target.bin", "<u8", self._n_branches)
         if successors.max(initial=0) >= self._n_states:
             raise self._fault(f"there is no state {successors.max()}")
-        rewards = self._annotations("rewards")
-        names = [name for name, _, _ in rewards]
-        place = raw_model.chosen_reward(source or self.path, names, cost)
-        costs = [self._costs(key, each) for _, key, each in rewards]
-        costs = costs or [np.ones(self._n_branches)]
+        described = self._annotations("rewards")
+        names = [name for name, _, _ in described]
+        rewards = [self._costs(key, each) for _, key, each in described]
         labels = {
             name: np.flatnonzero(self._bits(f"annotations/aps/{key}/states/values.bin"))
             for name, key, _ in self._annotations("aps")
@@ -138,8 +136,9 @@ class UmbArchive:
             probabilities=self._numbers(
                 "branch-to-probability.bin", self._probability, self._n_branches
             ),
-            costs=costs[place or 0],
-            named_costs=raw_model.named_rewards(names, costs),
+            **raw_model.costs_of_rewards(
+                source or self.path, names, rewards, cost, self._n_branches
+            ),
             actions=self._actions(),
             labels=labels | {raw_model.INITIAL: initial},
         )
