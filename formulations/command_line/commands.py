@@ -7,9 +7,9 @@ import re
 import sys
 from argparse import ArgumentTypeError
 from ast import literal_eval
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from operator import eq, ge, le
@@ -35,7 +35,7 @@ from ..mcmp import MCMP
 from .arguments import CRITERIA, PARAMETERS, number_argument, option
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 ENVIRONMENT = "gym:"
 """Prefix of the name of a Gymnasium environment."""
@@ -354,21 +354,24 @@ def with_options(error: ssp_lp.SSPError) -> str:
     return "".join(option(*one) if isinstance(one, Argument) else str(one) for one in error.args)
 
 
-def figure_for(path: str | None) -> Figure | None:
-    """Return a figure that can be saved under a name, or None without a name.
+@contextmanager
+def picture(path: str | None) -> Iterator[Axes | None]:
+    """Yield axes, and save what was drawn on them to a file; without a name yield None.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
         ModelError: matplotlib has no format with this ending.
     """
     if path is None:
-        return None
+        yield None
+        return
     module = optional_module("matplotlib.figure", "plot")
-    figure: Figure = module.Figure(figsize=(6.4, 4.2), layout="constrained")  # needs no screen
+    figure = module.Figure(figsize=(6.4, 4.2), layout="constrained")  # needs no screen
     formats = figure.canvas.get_supported_filetypes()
     if Path(path).suffix.removeprefix(".") not in formats:
         raise ModelError(f"a picture is written as {', '.join(sorted(formats))}, not {path!r}")
-    return figure
+    yield figure.subplots()
+    figure.savefig(path)
 
 
 _WRITERS: dict[str, Callable[[Any, str], object]] = {
@@ -382,24 +385,22 @@ _WRITERS: dict[str, Callable[[Any, str], object]] = {
 
 def _solve_command(asked: Asked) -> Iterable[str]:
     """Run the command ``solve`` and return its lines."""
-    figure, out = figure_for(asked["plot"]), asked["policy_out"]
+    out = asked["policy_out"]
     write = None if out is None else _WRITERS.get(Path(out).suffix)
     if out is not None and write is None:  # before the solve
         raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {out!r}")
-    of = command_model(asked)
     search = {name: asked[name] for name in ("method", "tolerance", "time_limit")}
     if isinstance(budgets := asked.get("failure_budget"), list):
-        return _several_answers(of, budgets, search)
-    problem = problem_of(of)
-    solution = ssp_lp.solve(problem, **search)
-    if write is not None:
-        write(solution.policy_everywhere() if asked["everywhere"] else solution.policy, out)
-    if asked["certificate_out"] is not None:
-        ssp_lp.write_certificate(solution, asked["certificate_out"])
-    if figure is not None:
-        level = {"level": asked["level"]} if "level" in asked else {}
-        plot_cost_law(ssp_lp.success_costs(solution.policy, problem), ax=figure.subplots(), **level)
-        figure.savefig(asked["plot"])
+        return _several_answers(command_model(asked), budgets, search)
+    with picture(asked["plot"]) as ax:
+        solution = ssp_lp.solve(problem_of(command_model(asked)), **search)
+        if write is not None:
+            write(solution.policy_everywhere() if asked["everywhere"] else solution.policy, out)
+        if asked["certificate_out"] is not None:
+            ssp_lp.write_certificate(solution, asked["certificate_out"])
+        if ax is not None:
+            level = {"level": asked["level"]} if "level" in asked else {}
+            plot_cost_law(ssp_lp.success_costs(solution.policy, solution.problem), ax=ax, **level)
     if asked["json"]:
         return json_answer(_solution_in_json(solution))
     decisions = ["", str(solution.policy_table())] if asked["show_policy"] else []
@@ -509,12 +510,11 @@ def _explore_command(asked: Asked) -> Iterable[str]:
 
 def _frontier_command(asked: Asked) -> Iterable[str]:
     """Run the command ``frontier`` and return its lines."""
-    figure = figure_for(asked["plot"])
-    traced = _traced_frontier(command_model(asked))
-    if figure is not None:
-        budget = asked.get("failure_budget") if traced.over == "failure" else None
-        plot_frontier(traced, budget, ax=figure.subplots())
-        figure.savefig(asked["plot"])
+    with picture(asked["plot"]) as ax:
+        traced = _traced_frontier(command_model(asked))
+        if ax is not None:
+            budget = asked.get("failure_budget") if traced.over == "failure" else None
+            plot_frontier(traced, budget, ax=ax)
     (table,) = traced.tables()
     if asked["json"]:
         points = table.records()
@@ -585,12 +585,11 @@ def _program_command(asked: Asked) -> Iterable[str]:
 
 def _what_if_command(asked: Asked) -> Iterable[str]:
     """Run the command ``what-if`` and return its lines."""
-    figure = figure_for(asked["plot"])
-    solution = ssp_lp.solve(problem_of(command_model(asked)))
-    effects = solution.what_if(time_limit=asked["time_limit"])
-    if figure is not None:
-        plot_tornado(effects, ax=figure.subplots())
-        figure.savefig(asked["plot"])
+    with picture(asked["plot"]) as ax:
+        solution = ssp_lp.solve(problem_of(command_model(asked)))
+        effects = solution.what_if(time_limit=asked["time_limit"])
+        if ax is not None:
+            plot_tornado(effects, ax=ax)
     (table,) = effects.tables()
     if asked["json"]:
         numbers = [row | {name: str(row[name]) for name in ("state", "action", "successor")}
