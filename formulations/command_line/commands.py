@@ -11,7 +11,6 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import MISSING, dataclass, fields, replace
-from functools import cache
 from operator import eq, ge, le
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -93,19 +92,13 @@ def command_model(asked: Asked) -> _CommandModel:
     if cost is None and asked["command"] in ("info", "convert"):  # which minimise no cost
         cost = FIRST_COST
     if source == "-":
-        model, start = parse_json(_standard_input(), "standard input", goal, cost, ends)
+        model, start = parse_json(sys.stdin.read(), "standard input", goal, cost, ends)
     else:
         model, start = io.read_any(source, goal, cost, asked["constants"], ends)
     if asked["start"] is not None:
         start = _state_named(model, asked["start"])
     horizon = None if asked["horizon"] == "env" else asked["horizon"]
     return _CommandModel(asked, model, start, horizon)
-
-
-@cache
-def _standard_input() -> str:
-    """Return the text on standard input, cached since a model is read once for each cost."""
-    return sys.stdin.read()
 
 
 def _model_of_environment(asked: Asked) -> _CommandModel:
@@ -210,25 +203,14 @@ def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
             measured = _OF_STATES[word](states if is_label else _state_named(of.model, states))
         elif word in _PLAIN:
             measured = _PLAIN[word]()
+        elif word in of.model.named_costs:
+            measured = ssp_lp.secondary_cost(word)
         else:
-            is_own = word in of.model.named_costs
-            measured = ssp_lp.secondary_cost(word if is_own else _cost_of_another_kind(word, of))
+            names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
+            nearest = did_you_mean(word, dict.fromkeys(names), "quantities are")
+            raise ModelError(f"{word!r} is not a quantity of this model{nearest}")
         terms.append(measured if factor is None else _problem_number(factor, words) * measured)
     return sum(terms[1:], start=terms[0])
-
-
-def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
-    """Return the costs, [outcomes], that the file has under a name but the model has not.
-
-    Raises:
-        ModelError: the file has no costs of this name.
-    """
-    try:
-        return command_model({**of.asked, "cost": word}).model.costs
-    except ModelError as error:
-        names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
-        nearest = did_you_mean(word, dict.fromkeys(names), "quantities are")
-        raise ModelError(f"{word!r} is not a quantity of this model{nearest}") from error
 
 
 def _problem_number(word: str, whole: str) -> float:
