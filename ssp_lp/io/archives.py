@@ -444,8 +444,7 @@ class _PolicyRecords:
         self.arrays: dict[str, Array] = {}
         self._records: list[dict[str, Any]] = []
         self._models: dict[int, SSP] = {}  # id -> model of a part
-        self._known: dict[int, int] = {}  # id of a policy -> its record
-        self._named: dict[Any, str] = {}  # content of an array -> its name
+        self._numbers: dict[int, int] = {}  # id of a policy -> number of its record
 
     def header(self, policy: AnyPolicy) -> dict[str, Any]:
         """Add a policy and return the header of its archive.
@@ -482,20 +481,19 @@ class _PolicyRecords:
         }
 
     def add_array(self, array: Array) -> str:
-        """Add an array unless an equal one is there, and return its name."""
-        key = array.dtype.str, array.shape, array.tobytes()
-        name = self._named.setdefault(key, f"array{len(self._named)}")
+        """Add an array and return its name."""
+        name = f"array{len(self.arrays)}"
         self.arrays[name] = array
         return name
 
     def _add(self, policy: AnyPolicy) -> int:
-        """Add a policy unless it is there, and return the number of its record.
+        """Add a policy after its parts unless it is there, and return the number of its record.
 
         Raises:
             ModelError: the policy or a part of it is of an unsupported class.
         """
-        if id(policy) in self._known:
-            return self._known[id(policy)]
+        if id(policy) in self._numbers:
+            return self._numbers[id(policy)]
         name = next((name for name, kind in _CLASSES.items() if kind is type(policy)), None)
         if name is None:
             own = ": save its .policy instead" if isinstance(policy, Solution) else ""
@@ -509,7 +507,7 @@ class _PolicyRecords:
             else:
                 record[part.name] = self._stated(value)
         self._records.append(record)
-        return self._known.setdefault(id(policy), len(self._records) - 1)
+        return self._numbers.setdefault(id(policy), len(self._records) - 1)
 
     def _stated(self, value: Any) -> Any:
         """Return the value of a field in JSON: arrays by name, policies by number."""
