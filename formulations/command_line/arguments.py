@@ -153,10 +153,10 @@ class _Completion(Action):
 
 
 class _OneLineParser(ArgumentParser):
-    """A parser whose errors are one line, without the usage, which ``--help`` shows."""
+    """A parser whose errors are one line: ``--help`` shows the usage, errors do not."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """Parse arguments; an error names an unknown one and the likely one."""
+        """Parse arguments; the error for an unknown one names the likely one."""
         asked, unknown = super().parse_known_args(args, namespace)
         if unknown:
             if unknown[0][:1] != "-":
@@ -191,7 +191,7 @@ def _as_name(flag: str) -> str:
 
 
 def argument_parser() -> ArgumentParser:
-    """Return the parser of the command line; its result has the name of the command."""
+    """Return the parser of the command line; ``command`` in its result is the command."""
     whole = _OneLineParser(
         prog="ssp-lp",
         formatter_class=RawDescriptionHelpFormatter,
@@ -229,21 +229,21 @@ Options = dict[str, dict[str, Any]]
 
 
 def _add_all(place: Any, options: Options) -> None:
-    """Add arguments to a parser or group; the shells' completion knows those that are files."""
+    """Add options to a parser or a group, and tell the shells' completion which are files."""
     for name, settings in options.items():
         added = place.add_argument(name, **settings)
         if settings.get("metavar") in ("MODEL", "FILE"):
             added.complete = _FILES
 
 
-def _taken(said: str, metavar: str, kind: Callable[[str], Any] = str, **more: Any) -> Any:
+def _taken(text: str, metavar: str, kind: Callable[[str], Any] = str, **more: Any) -> Any:
     """Return argparse's settings of an option with a value."""
-    return {"help": said, "metavar": metavar, "type": kind, **more}
+    return {"help": text, "metavar": metavar, "type": kind, **more}
 
 
-def _switch(said: str, **more: Any) -> Any:
+def _switch(text: str, **more: Any) -> Any:
     """Return argparse's settings of a flag."""
-    return {"help": said, "action": "store_true", **more}
+    return {"help": text, "action": "store_true", **more}
 
 
 _QUESTION: Options = {

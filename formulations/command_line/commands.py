@@ -7,11 +7,10 @@ import re
 import sys
 from argparse import ArgumentTypeError
 from ast import literal_eval
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import MISSING, dataclass, fields, replace
-from functools import cache
 from operator import eq, ge, le
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -41,7 +40,7 @@ from ..mcmp import MCMP
 from .arguments import CRITERIA, PARAMETERS, number_argument, option
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 ENVIRONMENT = "gym:"
 """Prefix of the name of a Gymnasium environment."""
@@ -52,7 +51,7 @@ Asked = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class _CommandModel:
-    """A model, its start, and the Gymnasium environment that it is made from, if any."""
+    """A model with its start, and the Gymnasium environment from which it was made, if any."""
 
     asked: Asked
     model: SSP
@@ -99,19 +98,13 @@ def command_model(asked: Asked) -> _CommandModel:
     if cost is None and asked["command"] in ("info", "convert"):  # which minimise no cost
         cost = FIRST_COST
     if source == "-":
-        model, start = parse_json(_standard_input(), "standard input", goal, cost, ends)
+        model, start = parse_json(sys.stdin.read(), "standard input", goal, cost, ends)
     else:
         model, start = io.read_any(source, goal, cost, asked["constants"], ends)
     if asked["start"] is not None:
         start = _state_named(model, asked["start"])
     horizon = None if asked["horizon"] == "env" else asked["horizon"]
     return _CommandModel(asked, model, start, horizon)
-
-
-@cache
-def _standard_input() -> str:
-    """Return the text on standard input, cached since a model is read once for each cost."""
-    return sys.stdin.read()
 
 
 def _model_of_environment(asked: Asked) -> _CommandModel:
@@ -216,25 +209,14 @@ def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
             measured = _OF_STATES[word](states if is_label else _state_named(of.model, states))
         elif word in _PLAIN:
             measured = _PLAIN[word]()
+        elif word in of.model.named_costs:
+            measured = ssp_lp.secondary_cost(word)
         else:
-            is_own = word in of.model.named_costs
-            measured = ssp_lp.secondary_cost(word if is_own else _cost_of_another_kind(word, of))
+            names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
+            nearest = did_you_mean(word, dict.fromkeys(names), "quantities are")
+            raise ModelError(f"{word!r} is not a quantity of this model{nearest}")
         terms.append(measured if factor is None else _problem_number(factor, words) * measured)
     return sum(terms[1:], start=terms[0])
-
-
-def _cost_of_another_kind(word: str, of: _CommandModel) -> Any:
-    """Return the costs, [outcomes], that the file has under a name but the model has not.
-
-    Raises:
-        ModelError: the file has no costs of this name.
-    """
-    try:
-        return command_model({**of.asked, "cost": word}).model.costs
-    except ModelError as error:
-        names = [*_PLAIN, *(f"{name}(...)" for name in _OF_STATES), *of.model.named_costs]
-        nearest = did_you_mean(word, dict.fromkeys(names), "quantities are")
-        raise ModelError(f"{word!r} is not a quantity of this model{nearest}") from error
 
 
 def _problem_number(word: str, whole: str) -> float:
@@ -290,33 +272,33 @@ def with_property(asked: Asked) -> Asked:
     if (objective.measure, objective.relation) not in {("P", "max=?"), ("R", "min=?")}:
         raise ModelError(f"{objective.words}: the objective must be Pmax=? or Rmin=?")
     (goal,) = goals
-    told: dict[str, Any] = {"goal": [goal], "limit": list(asked["limit"])}
+    stated: dict[str, Any] = {"goal": [goal], "limit": list(asked["limit"])}
     if objective.measure == "P":
-        told["criterion"] = "maxprob"
+        stated["criterion"] = "maxprob"
     elif reaching:
         least = max(number_argument(one.bound) for one in reaching)
-        told |= {"criterion": "mcmp", "failure_budget": float(1 - least), "cost": objective.cost}
+        stated |= {"criterion": "mcmp", "failure_budget": float(1 - least), "cost": objective.cost}
     else:
-        told |= {"criterion": "min-cost", "cost": objective.cost}
+        stated |= {"criterion": "min-cost", "cost": objective.cost}
     for one in operators:
         if one.relation == "<=":
             limited = (one.cost or "cost") if one.measure == "R" else f"end({one.target})"
-            told["limit"].append(f"{limited} <= {one.bound}")
+            stated["limit"].append(f"{limited} <= {one.bound}")
         elif one.measure == "R" and one is not objective:
             raise ModelError(f"{one.words}: a cost can have an upper bound only")
     steps = {one.steps for one in operators if one.steps is not None}
     if steps:
         if len(steps) > 1 or any(one.steps is None and one.target == goal for one in operators):
             raise ModelError(f"{words}: all operators must have the same number of steps")
-        told["horizon"] = int(*steps)
+        stated["horizon"] = int(*steps)
     for name in ("goal", "cost"):
-        if asked[name] and asked[name] != told.get(name, asked[name]):
+        if asked[name] and asked[name] != stated.get(name, asked[name]):
             raise ModelError(f"--{name} contradicts the property {words}")
-    return {**asked, **{name: word for name, word in told.items() if word is not None}}
+    return {**asked, **{name: word for name, word in stated.items() if word is not None}}
 
 
 def _operators_in(words: str) -> list[_Operator]:
-    """Return the operators of a property, one or several in ``multi( , )``.
+    """Return the operators of a property: one, or several in ``multi( , )``.
 
     Raises:
         ModelError: words that are not an operator.
@@ -348,7 +330,7 @@ def json_answer(answer: Any) -> list[str]:
 
 
 def _csv_answer(path: str, table: Table) -> list[str]:
-    """Return the lines of a table as CSV, or write them to a file and return no line."""
+    """Return a table as lines of CSV; or write them to a file, and return no lines."""
     if path == "-":
         return table.csv().splitlines()
     Path(path).write_text(table.csv(), encoding="utf-8")
@@ -360,21 +342,24 @@ def with_options(error: ssp_lp.SSPError) -> str:
     return "".join(option(*one) if isinstance(one, Argument) else str(one) for one in error.args)
 
 
-def figure_for(path: str | None) -> Figure | None:
-    """Return a figure that can be saved under a name, or None without a name.
+@contextmanager
+def picture(path: str | None) -> Iterator[Axes | None]:
+    """Yield axes, and save what was drawn on them to a file; without a name yield None.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
         ModelError: matplotlib has no format with this ending.
     """
     if path is None:
-        return None
+        yield None
+        return
     module = optional_module("matplotlib.figure", "plot")
-    figure: Figure = module.Figure(figsize=(6.4, 4.2), layout="constrained")  # needs no screen
+    figure = module.Figure(figsize=(6.4, 4.2), layout="constrained")  # needs no screen
     formats = figure.canvas.get_supported_filetypes()
     if Path(path).suffix.removeprefix(".") not in formats:
         raise ModelError(f"a picture is written as {', '.join(sorted(formats))}, not {path!r}")
-    return figure
+    yield figure.subplots()
+    figure.savefig(path)
 
 
 _WRITERS: dict[str, Callable[[Any, str], object]] = {
@@ -388,24 +373,22 @@ _WRITERS: dict[str, Callable[[Any, str], object]] = {
 
 def _solve_command(asked: Asked) -> Iterable[str]:
     """Run the command ``solve`` and return its lines."""
-    figure, out = figure_for(asked["plot"]), asked["policy_out"]
+    out = asked["policy_out"]
     write = None if out is None else _WRITERS.get(Path(out).suffix)
     if out is not None and write is None:  # before the solve
         raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {out!r}")
-    of = command_model(asked)
     search = {name: asked[name] for name in ("method", "tolerance", "time_limit")}
     if isinstance(budgets := asked.get("failure_budget"), list):
-        return _several_answers(of, budgets, search)
-    problem = problem_of(of)
-    solution = ssp_lp.solve(problem, **search)
-    if write is not None:
-        write(solution.policy_everywhere() if asked["everywhere"] else solution.policy, out)
-    if asked["certificate_out"] is not None:
-        ssp_lp.write_certificate(solution, asked["certificate_out"])
-    if figure is not None:
-        level = {"level": asked["level"]} if "level" in asked else {}
-        plot_cost_law(ssp_lp.success_costs(solution.policy, problem), ax=figure.subplots(), **level)
-        figure.savefig(asked["plot"])
+        return _several_answers(command_model(asked), budgets, search)
+    with picture(asked["plot"]) as ax:
+        solution = ssp_lp.solve(problem_of(command_model(asked)), **search)
+        if write is not None:
+            write(solution.policy_everywhere() if asked["everywhere"] else solution.policy, out)
+        if asked["certificate_out"] is not None:
+            ssp_lp.write_certificate(solution, asked["certificate_out"])
+        if ax is not None:
+            level = {"level": asked["level"]} if "level" in asked else {}
+            plot_cost_law(ssp_lp.success_costs(solution.policy, solution.problem), ax=ax, **level)
     if asked["json"]:
         return json_answer(_solution_in_json(solution))
     decisions = ["", str(solution.policy_table())] if asked["show_policy"] else []
@@ -518,12 +501,11 @@ def _explore_command(asked: Asked) -> Iterable[str]:
 
 def _frontier_command(asked: Asked) -> Iterable[str]:
     """Run the command ``frontier`` and return its lines."""
-    figure = figure_for(asked["plot"])
-    traced = _traced_frontier(command_model(asked))
-    if figure is not None:
-        budget = asked.get("failure_budget") if traced.over == "failure" else None
-        plot_frontier(traced, budget, ax=figure.subplots())
-        figure.savefig(asked["plot"])
+    with picture(asked["plot"]) as ax:
+        traced = _traced_frontier(command_model(asked))
+        if ax is not None:
+            budget = asked.get("failure_budget") if traced.over == "failure" else None
+            plot_frontier(traced, budget, ax=ax)
     (table,) = traced.tables()
     if asked["json"]:
         points = table.records()
@@ -594,12 +576,11 @@ def _program_command(asked: Asked) -> Iterable[str]:
 
 def _what_if_command(asked: Asked) -> Iterable[str]:
     """Run the command ``what-if`` and return its lines."""
-    figure = figure_for(asked["plot"])
-    solution = ssp_lp.solve(problem_of(command_model(asked)))
-    effects = solution.what_if(time_limit=asked["time_limit"])
-    if figure is not None:
-        plot_tornado(effects, ax=figure.subplots())
-        figure.savefig(asked["plot"])
+    with picture(asked["plot"]) as ax:
+        solution = ssp_lp.solve(problem_of(command_model(asked)))
+        effects = solution.what_if(time_limit=asked["time_limit"])
+        if ax is not None:
+            plot_tornado(effects, ax=ax)
     (table,) = effects.tables()
     if asked["json"]:
         numbers = [row | {name: str(row[name]) for name in ("state", "action", "successor")}

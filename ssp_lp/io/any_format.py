@@ -42,7 +42,7 @@ def read_any(
     constants: Constants | None = None,
     dead_ends: DeadEnds | None = None,
 ) -> StatedModel:
-    """Read a model from a file in the format of its name's ending.
+    """Read a model from a file, whose format is the ending of its name.
 
     Programs (.prism, .nm, .pm, .jani) are read through Storm (the extra ``storm``).
 
@@ -71,14 +71,14 @@ def read_any(
         return read_json(file, goals, cost, dead_ends)
     if ending == _ARCHIVE:
         if goals:
-            told = f"{file.name} has the goal states already: leave "
-            raise ModelError(told, Argument("goal"), " out")
+            message = f"{file.name} has the goal states already: leave "
+            raise ModelError(message, Argument("goal"), " out")
         model = load_model(file)
         model = model if cost in (None, FIRST_COST) else model.with_cost(cost)
         return StatedModel(model.with_dead_ends(dead_ends))
     if len(goals) != 1:
-        told = f"{file}: name the one label whose states are goals ("
-        raise ModelError(told, Argument("goal"), ")")
+        message = f"{file}: name the one label whose states are goals ("
+        raise ModelError(message, Argument("goal"), ")")
     more: dict[str, Any] = {"constants": constants} if ending in _STORM else {}
     found = _READERS[ending](file, goal=goals[0], cost=cost, dead_ends=dead_ends, **more)
     return StatedModel(found.model, found.start if len(found.initial_states) == 1 else None)
@@ -87,10 +87,10 @@ def read_any(
 def _csv_model(
     file: Path, goals: Sequence[str], cost: str | None, dead_ends: DeadEnds | None
 ) -> SSP:
-    """Return the model of a CSV file with columns of outcomes, whose other columns are costs."""
+    """Return the model of a CSV file: columns that describe outcomes, and columns of costs."""
     if not goals:
-        told = f"{file.name} does not list the goal states: name them by "
-        raise ModelError(told, Argument("goal"))
+        message = f"{file.name} does not list the goal states: name them by "
+        raise ModelError(message, Argument("goal"))
     columns = csv_columns(file)
     for name in _OUTCOME:
         if name not in columns:
@@ -104,7 +104,7 @@ def _csv_model(
 
 @explained
 def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
-    """Write a model to a file in the format of its name's ending.
+    """Write a model to a file, whose format is the ending of its name.
 
     Args:
         model: the model.
@@ -131,7 +131,7 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
 
 
 def _ending_of(file: Path, endings: Sequence[str]) -> str:
-    """Return the known ending that a file's name has."""
+    """Return the ending of a file's name, or raise :class:`ModelError` if it is none of these."""
     for ending in endings:
         if file.name.endswith(ending):
             return ending

@@ -72,21 +72,21 @@ def write_archive(
         arrays: by name.
     """
     whole = {"format": f"ssp-lp {kind}", "version": _VERSION, **header}
-    told = np.frombuffer(json.dumps(whole, default=np.generic.item).encode(), dtype=np.uint8)
+    packed = np.frombuffer(json.dumps(whole, default=np.generic.item).encode(), dtype=np.uint8)
     with Path(path).open("wb") as file:
-        named: dict[str, Any] = {_HEADER: told, **arrays}
+        named: dict[str, Any] = {_HEADER: packed, **arrays}
         np.savez_compressed(file, **named)
 
 
 class _Arrays(dict[str, Array]):
-    """Arrays of an archive, each unpacked on first use."""
+    """Arrays of an archive by name, each unpacked on first use."""
 
     def __init__(self, archive: Any) -> None:
         """Wrap an archive that numpy has opened."""
         self._archive = archive
 
     def __missing__(self, name: str) -> Array:
-        """Return an array in the machine's own byte order.
+        """Unpack an array and return it in the machine's byte order.
 
         Raises:
             ModelError: the array is damaged or missing.
@@ -126,14 +126,14 @@ def _header_of(archive: Any, kind: str) -> Any:
     if type(version) is not int or not 1 <= version <= _VERSION:
         newer = type(version) is int and version > _VERSION
         remedy = "install a newer ssp-lp" if newer else f"write the {kind} again with this one"
-        told = f"it has version {version!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
-        raise ModelError(told)
+        message = f"it has version {version!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
+        raise ModelError(message)
     return header
 
 
 @contextmanager
 def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
-    """Open an archive as a context with its header and arrays; nothing in it is executed.
+    """Open an archive and yield its header and its arrays; nothing in it is executed.
 
     Raises:
         ModelError: naming the file: no such archive, of a later version than this library reads,
@@ -185,7 +185,7 @@ def save_model(model: SSP, path: FilePath) -> None:
     check_model(model, "save_model")
 
     def stated(names: Sequence[Hashable]) -> list[Any] | None:
-        """Return names as JSON values; None if they equal their positions."""
+        """Return names as JSON values, or None if they are their positions."""
         if isinstance(names, range):
             return None
         return [name if isinstance(name, float) else label_value(name) for name in names]
@@ -199,7 +199,7 @@ def save_model(model: SSP, path: FilePath) -> None:
         "exact_costs": [[cost, str(exact)] for cost, exact in model.exact_costs.items()],
         "named_costs": list(model.named_costs),
     }
-    found = {
+    stored = {
         "pair_action": model.pair_action,
         "pair_offsets": model.pair_offsets,
         "outcome_offsets": model.outcome_offsets,
@@ -210,16 +210,16 @@ def save_model(model: SSP, path: FilePath) -> None:
         "label_offsets": np.cumsum([0, *(len(at) for at in members)]),
         "label_members": np.concatenate([np.zeros(0, dtype=np.int64), *members]),
     }
-    arrays = {name: found[name].astype(f"<{kind}") for name, kind in _ARRAYS.items()}
+    arrays = {name: stored[name].astype(f"<{kind}") for name, kind in _ARRAYS.items()}
     named = {f"costs {k}": costs for k, costs in enumerate(model.named_costs.values())}
     write_archive(path, "model", header, arrays | named)
 
 
 class StoredModel:
-    """A file of :func:`save_model`, of which ranges of states can be read."""
+    """A file of :func:`save_model` from which the rows of some states can be read alone."""
 
     def __init__(self, path: FilePath) -> None:
-        """Read the content of the file except for rows of states.
+        """Read the goals, the sets of states and the number of states.
 
         Raises:
             ModelError: naming the file: not of this format, or damaged.
@@ -265,10 +265,10 @@ class StoredModel:
                 if more or kind.hasobject or end > length:
                     raise ValueError(_OTHER_ARRAY.format(name))
                 file.seek(begin * kind.itemsize, SEEK_CUR)
-                found = np.frombuffer(file.read((end - begin) * kind.itemsize), dtype=kind)
+                entries = np.frombuffer(file.read((end - begin) * kind.itemsize), dtype=kind)
         except Exception as damage:  # zipfile, zlib and numpy raise a dozen kinds
             raise ModelError(f"{self._path} is damaged: {damage!r}") from damage
-        return found.astype(kind.newbyteorder("=")), length
+        return entries.astype(kind.newbyteorder("=")), length
 
 
 @explained
@@ -299,8 +299,8 @@ def load_model(path: FilePath) -> SSP:
             raise ModelError("the names of states must be one for each")
         if actions is not None:
             actions = _named_in_archive(actions, arrays["pair_action"], "actions")
-        known = range(n_states) if states is None else states
-        members = _named_in_archive(known, arrays["label_members"], "members of labels")
+        labels_of_states = range(n_states) if states is None else states
+        members = _named_in_archive(labels_of_states, arrays["label_members"], "members of labels")
         check_offsets("label_offsets", labels, len(members))
         marked = [members[begin:end] for begin, end in pairwise(labels.tolist())]
         for _, text in header["exact_costs"]:
@@ -324,7 +324,7 @@ def load_model(path: FilePath) -> SSP:
 
 
 def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:
-    """Return the names at some positions in an archive."""
+    """Return the names at some positions; ``what`` they name is for the error."""
     if ((numbers < 0) | (numbers >= len(names))).any():
         raise ModelError(f"there are {what} without a name")
     return [names[k] for k in numbers.tolist()]
@@ -384,7 +384,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
 def _policy_in(
     header: Mapping[str, Any], arrays: Mapping[str, Array], model: SSP, *, check: bool
 ) -> AnyPolicy:
-    """Return the policy in an archive's header; see :func:`load_policy`.
+    """Return the policy of an archive on a model, as :func:`load_policy` does.
 
     Raises:
         ModelError: the model is another one.
@@ -404,22 +404,22 @@ def _policy_in(
             Argument("check", False),
             f" if it differs on purpose{remedy}",
         )
-    made: list[AnyPolicy] = []
+    parts: list[AnyPolicy] = []
 
     def meant(value: Any) -> Any:
-        """Return a field: an array by name, policies by number, or the value itself."""
+        """Return the value of a field: an array, parts made before, or the value itself."""
         if isinstance(value, str):
             return arrays[value]
         if isinstance(value, list):
-            return tuple(made[k] for k in value)
-        return made[value] if type(value) is int else value
+            return tuple(parts[k] for k in value)
+        return parts[value] if type(value) is int else value
 
     for record in records:
         kind = _CLASSES[record.pop("kind")]
         on_model = {"model": model} if any(part.name == "model" for part in fields(kind)) else {}
         stated = {name: meant(value) for name, value in record.items() if value is not None}
-        made.append(kind(**stated, **on_model))
-    return made[-1]
+        parts.append(kind(**stated, **on_model))
+    return parts[-1]
 
 
 _CLASSES: dict[str, type[Any]] = {
@@ -437,18 +437,17 @@ _CLASSES: dict[str, type[Any]] = {
 
 
 class _PolicyRecords:
-    """The records of a policy and of all its parts, each after its own parts."""
+    """Records of a policy and of the policies that it consists of, each after its parts."""
 
     def __init__(self) -> None:
-        """Begin without records."""
+        """Begin an archive without records."""
         self.arrays: dict[str, Array] = {}
         self._records: list[dict[str, Any]] = []
         self._models: dict[int, SSP] = {}  # id -> model of a part
-        self._known: dict[int, int] = {}  # id of a policy -> its record
-        self._named: dict[Any, str] = {}  # content of an array -> its name
+        self._numbers: dict[int, int] = {}  # id of a policy -> number of its record
 
     def header(self, policy: AnyPolicy) -> dict[str, Any]:
-        """Return the header of an archive for a policy and its model.
+        """Add a policy and return the header of its archive.
 
         Raises:
             ModelError: the policy cannot be saved, or its parts are on several models.
@@ -482,20 +481,19 @@ class _PolicyRecords:
         }
 
     def add_array(self, array: Array) -> str:
-        """Return the name of an array in the archive; equal arrays are stored once."""
-        key = array.dtype.str, array.shape, array.tobytes()
-        name = self._named.setdefault(key, f"array{len(self._named)}")
+        """Add an array and return its name."""
+        name = f"array{len(self.arrays)}"
         self.arrays[name] = array
         return name
 
     def _add(self, policy: AnyPolicy) -> int:
-        """Return the number of a policy's record in the archive, which is stored once.
+        """Add a policy after its parts unless it is there, and return the number of its record.
 
         Raises:
             ModelError: the policy or a part of it is of an unsupported class.
         """
-        if id(policy) in self._known:
-            return self._known[id(policy)]
+        if id(policy) in self._numbers:
+            return self._numbers[id(policy)]
         name = next((name for name, kind in _CLASSES.items() if kind is type(policy)), None)
         if name is None:
             own = ": save its .policy instead" if isinstance(policy, Solution) else ""
@@ -508,10 +506,10 @@ class _PolicyRecords:
             else:
                 record[part] = self._stated(value)
         self._records.append(record)
-        return self._known.setdefault(id(policy), len(self._records) - 1)
+        return self._numbers.setdefault(id(policy), len(self._records) - 1)
 
     def _stated(self, value: Any) -> Any:
-        """Return a policy's field as JSON for an archive."""
+        """Return the value of a field in JSON: arrays by name, policies by number."""
         if isinstance(value, np.ndarray):
             return self.add_array(value)
         if isinstance(value, (Policy, MixedPolicy)):
@@ -559,11 +557,11 @@ def save_solution(solution: Solution, path: FilePath) -> None:
 
 @explained
 def load_solution(path: FilePath, problem: Problem) -> Solution:
-    """Read a solution from its archive, for its restated problem; ``certify`` agrees.
+    """Read a solution from its archive; ``certify`` accepts it as it does the saved one.
 
     Args:
         path: a file of :func:`save_solution`.
-        problem: the problem, on the same model.
+        problem: the problem that was solved, stated again on the same model.
 
     Raises:
         ModelError: the file has no solution, the model is another one, or the problem has another
@@ -588,7 +586,7 @@ def load_solution(path: FilePath, problem: Problem) -> Solution:
 
 
 def _solution_words(problem: Problem) -> dict[str, Any]:
-    """Return the arguments in a solution's archive that identify its problem on the model."""
+    """Return the arguments of a problem that an archive stores, to recognise the problem."""
     semantics, measure = problem.semantics, problem.semantics.measure
     return {
         "criterion": type(problem).__name__,
@@ -605,7 +603,7 @@ def _solution_words(problem: Problem) -> dict[str, Any]:
 
 
 def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[Any, Any]) -> None:
-    """Raise :class:`ModelError` unless an archive's solution belongs to the problem."""
+    """Raise :class:`ModelError` unless a problem has the arguments that an archive stores."""
     for name, stated in _solution_words(problem).items():
         saved = kept[name]
         same = saved == stated
@@ -665,7 +663,7 @@ def fingerprint(model: SSP) -> str:
         for names in (model.states, model.action_names)
     )
     exact = [[float(k).hex(), str(v)] for k, v in sorted(model.exact_costs.items())]
-    labels = {name: found.tolist() for name, found in model.state_labels.items()}
+    labels = {name: members.tolist() for name, members in model.state_labels.items()}
     words: dict[str, Any] = {
         "states": states,
         "actions": actions,
@@ -682,7 +680,7 @@ def fingerprint(model: SSP) -> str:
 
 @kept
 def pair_print(model: SSP) -> str:
-    """Return the SHA-256 of a model's pairs by state, which a policy depends on."""
+    """Return the SHA-256 of the numbers of pairs by state, on which a policy depends."""
     digest = sha256(b"ssp-lp pairs 1")
     _hash_array(digest.update, "pair_offsets", model.pair_offsets)
     return digest.hexdigest()
@@ -698,7 +696,7 @@ def _hash_array(update: Callable[[bytes], None], name: str, array: Array) -> Non
 
 
 def label_value(label: Hashable) -> Any:
-    """Return a label as a JSON value: str, int, float, bool, None; tuples as lists.
+    """Return a label (str, int, float, bool, None or a tuple of labels) as a JSON value.
 
     Raises:
         ModelError: it is or contains any other value, or a number that is not finite.
@@ -721,9 +719,10 @@ def label_value(label: Hashable) -> Any:
 
 
 def stated_value(label: Hashable) -> Any:
-    """Return a value as JSON, equal in every process; labels as in :func:`label_value`.
+    """Return a value as JSON that is equal in every process.
 
-    Sets, fractions, members of enumerations and dataclasses become objects that name them.
+    Labels are as in :func:`label_value`. Sets, fractions, members of enumerations and dataclasses
+    become objects that name them.
 
     Raises:
         ModelError: it is or contains any other value.

@@ -1,14 +1,17 @@
 """A policy as one C99 header: tables, and a function that looks up actions, without allocation.
 
-States and actions are numbers, in the order of the model. A small struct has the memory of an
-episode, apart from the total paid: the member of a lottery that plays it, the tail followed beyond
-the cap, whether it has given up, and the level to which a total was rounded.
+``policy.h`` beside this file is the template of the header. States and actions are numbers, in the
+order of the model. A small struct has the memory of an episode, apart from the total paid: the
+member of a lottery that plays it, the tail followed beyond the cap, whether it has given up, and
+the level to which a total was rounded.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.resources import files
 from itertools import accumulate
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -34,92 +37,10 @@ _OTHERS = {"threshold": "double", "levels": "double", "share": "double", "offset
 
 _KINDS = {"signed char": 127, "short": 32_767, "int": 2**31 - 1}
 
-_CODE = """
-typedef struct { int member, tail, over, level; double paid; } NAME_episode;
-#define NAME_BEGIN {-1, -1, -1, 0, 0.0}
-
-/* The number of the action in a state: -1 to give up, -2 where the policy has no decision.
-
-   episode: its memory, NAME_BEGIN where it begins.
-   state: its number, 0 .. NAME_states - 1.
-   total: paid so far, in multiples of NAME_unit.
-   uniform: drawn from [0, 1) at each call; the first one draws the lottery, too. */
-static inline int NAME_action(NAME_episode *episode, int state, double total, double uniform)
-{
-    const NAME_member *member;
-    double low = 0.0;
-    int code, first, last;
-    if (episode->member < 0) {
-        episode->member = 0;
-        while (episode->member < NAME_count - 1 && uniform >= NAME_members[episode->member].upto)
-            low = NAME_members[episode->member++].upto;
-        uniform = (uniform - low) / (NAME_members[episode->member].upto - low);
-    }
-    member = &NAME_members[episode->member];
-    if (member->ends && (episode->over > 0 || member->ends[state])) {
-        episode->over = 1;
-        return member->afterwards[state];
-    }
-    if (episode->tail < 0) { /* the layer, or from the cap on a tail, for good */
-        first = 0, last = member->layers;
-        if (member->levels) {
-            double step = total - episode->paid;
-            episode->paid = total;
-            total = member->levels[episode->level] + step;
-            while (first < last) { /* the level nearest to the total, the lower one of two */
-                const int middle = (first + last) / 2;
-                if (total - member->levels[middle] <= member->levels[middle + 1] - total)
-                    last = middle;
-                else
-                    first = middle + 1;
-            }
-            episode->level = first;
-            last = member->layers;
-        } else {
-            if (total < 1e15)
-                total = (double)(long long)(total + 0.5);
-            first = total >= last ? last : (int)total;
-        }
-        if (first >= last)
-            episode->tail = total >= member->threshold[state] ? member->tails - 1 : 0;
-    }
-    if (episode->tail < 0)
-        code = member->decision[(long)first * NAME_states + state];
-    else
-        code = member->tail[(long)episode->tail * NAME_states + state];
-    if (code <= DRAWN) {
-        first = member->offsets[DRAWN - code], last = member->offsets[DRAWN - code + 1] - 1;
-        while (first < last && uniform >= member->share[first])
-            first++;
-        code = member->action[first];
-    }
-    if (member->ends && code == -1) {
-        episode->over = 1;
-        return member->afterwards[state];
-    }
-    return member->ends && code == -2 ? member->otherwise[state] : code;
-}
-"""
-
-_MEMBER = """typedef struct {
-    double upto; /* probability of this member and those before it */
-    int layers, tails;
-    const NAME_code *decision; /* [layers][states] number of an action, or a code */
-    const NAME_code *tail; /* [tails][states] */
-    const double *threshold; /* [states] total from which the last tail is followed */
-    const double *levels; /* [layers + 1] totals, in place of multiples of a unit */
-    const int *offsets; /* of decisions that are drawn, [states + 1] */
-    const NAME_code *action;
-    const double *share; /* of each such action and those before it */
-    const unsigned char *ends; /* [states] of a policy that acts everywhere */
-    const NAME_code *otherwise, *afterwards; /* [states] beside the plan, and after it */
-} NAME_member;
-"""
-
 
 @explained
 def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = "policy") -> None:
-    """Write a policy as a C99 header, with tables and one function, for a machine that acts by it.
+    """Write a policy as a C99 header with tables and a function that looks up actions.
 
     The function ``policy_action(&episode, state, total, uniform)`` takes the number of the state in
     the model, the total paid so far and a uniform random number, and returns the number of an
@@ -149,9 +70,9 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
         raise ModelError("the members of the lottery count costs in different units")
     tables, rows, largest = list[str](), list[str](), 0
     upto = np.minimum(np.cumsum(lottery.weights), 1.0)
-    for k, (told, share) in enumerate(zip(fields, upto.tolist(), strict=True)):
+    for k, (member_fields, share) in enumerate(zip(fields, upto.tolist(), strict=True)):
         entries = [repr(share)]
-        for key, value in told.items():
+        for key, value in member_fields.items():
             if isinstance(value, int):
                 entries.append(str(value))
                 continue
@@ -161,36 +82,28 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
             entries.append(entry)
         rows.append(f"    {{{', '.join(entries)}}},")
     code_type = next(kind for kind, most in _KINDS.items() if largest <= most)
-    type_, code = (
-        text.replace("NAME", name).replace("DRAWN", str(_DRAWN)) for text in (_MEMBER, _CODE)
-    )
     states = (f"   {k}: {state!a}".replace("*/", "* /") for k, state in enumerate(model.states))
     actions = ", ".join(_c_string(str(action)) for action in model.action_names)
-    lines = [
-        f"/* A policy of ssp-lp, made for the model {fingerprint(model)}.",
-        "   States:",
-        *states,
-        "*/",
-        f"#ifndef {name.upper()}_H",
-        f"#define {name.upper()}_H",
-        f"enum {{ {name}_states = {model.n_states}, {name}_count = {len(members)} }};",
-        f"static const double {name}_unit = {next(filter(None, units), 1.0)!r};",
-        f"static const char *const {name}_actions[] = {{{actions or '0'}}};",
-        f"typedef {code_type} {name}_code;",
-        type_,
-        *tables,
-        f"static const {name}_member {name}_members[] = {{",
-        *rows,
-        "};",
-        code,
-        "#endif",
-        "",
-    ]
-    write_text(path, ["\n".join(lines)])
+    template = Template(files("ssp_lp.io").joinpath("policy.h").read_text("utf-8"))
+    text = template.substitute(
+        name=name,
+        guard=f"{name.upper()}_H",
+        model=fingerprint(model),
+        states="\n".join(states),
+        n_states=model.n_states,
+        n_members=len(members),
+        unit=repr(next(filter(None, units), 1.0)),
+        actions=actions or "0",
+        code=code_type,
+        drawn=_DRAWN,
+        tables="\n".join(tables),
+        members="\n".join(rows),
+    )
+    write_text(path, [text])
 
 
 def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
-    """Return the fields of a member's struct except the first, by name; lists are tables.
+    """Return the fields of a member's struct by name, without ``upto``; a list is a table.
 
     Args:
         stated: the member as in a controller's file.

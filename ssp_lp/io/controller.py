@@ -62,7 +62,7 @@ _OFF_LATTICE = 1e-6  # of a unit: far above the rounding of a sum of costs, far 
 
 
 class Controller:
-    """A policy read from a file, and the episode that it plays.
+    """A policy that is read from a file and plays an episode.
 
     Several controllers of one file play several episodes side by side. ``model`` is the fingerprint
     of the model that the policy was made for.
@@ -127,7 +127,7 @@ class Controller:
 
     @property
     def failed(self) -> bool:
-        """Whether the goal has been lost or given up, by the last action."""
+        """Whether the goal was lost or given up by the time of the last action."""
         return self._failed
 
     def action(self, state: Hashable) -> Hashable:
@@ -180,7 +180,7 @@ class Controller:
             self._alone = 2
 
     def _choice(self, state: int) -> int:
-        """Return the position of an action in a state, or a code."""
+        """Return the position of the action in a state, or a negative code."""
         member, is_over = self._current(), self._alone == 1
         acts = "otherwise" in member
         is_over |= acts and state in member["ends"]

@@ -73,7 +73,7 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
 
 
 def controller_member(policy: Policy) -> dict[str, Any]:
-    """Return a member of a lottery, in the controller's format.
+    """Return a policy as a member of a lottery in a controller's file.
 
     Raises:
         ModelError: the controller does not support its memory.
@@ -92,14 +92,14 @@ def controller_member(policy: Policy) -> dict[str, Any]:
 
 
 def _positions(model: SSP, codes: Mapping[Hashable, int], pairs: IntArray) -> IntArray:
-    """Return the action numbers of exported pairs; negative codes are not changed."""
+    """Return the number of the action of each pair; codes, which are negative, stay."""
     action = np.array([codes[name] for name in model.action_names] or [0])
     action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
     return np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)])
 
 
 def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | None:
-    """Return an exported policy's memory, in the controller's format.
+    """Return the memory of a policy as a controller's file describes it.
 
     Raises:
         ModelError: the controller does not support such a memory.
@@ -143,7 +143,7 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
 
 
 def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, Any]:
-    """Return the transitions of an exported product's memory, for the controller's file."""
+    """Return the steps that change the memory of a product, as a controller's file lists them."""
     if isinstance(product, HorizonSSP):
         acting = np.diff(product.original.pair_offsets) > 0
         return {"kind": "steps", "steps": product.steps, "acting": acting.astype(int).tolist()}
@@ -182,7 +182,7 @@ def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[
 
 
 def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:
-    """Return an exported policy's decisions, [memories][states], of its innermost memory."""
+    """Return the decisions of a policy, [values of its innermost memory][states]."""
     over = np.zeros(policy.model.n_states, dtype=np.bool_)
     while isinstance(policy, RememberingPolicy | LabelledPolicy):
         product, policy = policy.product, policy.inner

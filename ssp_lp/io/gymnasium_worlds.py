@@ -76,26 +76,31 @@ class EnvironmentSSP(SSP):
 
     @cached_property
     def ends(self) -> frozenset[Hashable]:
-        """States of the Gymnasium environment for which the model has a separate end."""
+        """States of the environment in which only some steps terminate."""
         return frozenset(
             label[1] for label in self.states if isinstance(label, tuple) and label[0] == END
         )
 
     def label(self, state: Hashable, terminated: bool) -> Hashable:
-        """Return the model's state for an observation of the Gymnasium environment after a step."""
+        """Return the model's state for a state of the environment after a step."""
         return (END, state) if terminated and state in self.ends else state
 
     def ends_among(self, listed: Callable[[Any], bool], label: Any) -> bool:
-        """Return whether a predicate on the environment's states holds for the state of an end."""
+        """Return whether a state of the model is an end for which a predicate holds.
+
+        Args:
+            listed: predicate on the states of the environment.
+            label: state of the model.
+        """
         is_end = isinstance(label, tuple) and label[0] == END
         return listed(label[1]) if is_end else label not in self.ends and bool(listed(label))
 
     def seen(self, env: Any, observation: Any) -> Any:
-        """Return the state of the Gymnasium environment that an observation shows."""
+        """Return the state of the environment that an observation shows."""
         return _plain(observation)
 
     def check_step(self, pair: int, state: int) -> None:
-        """Raise ModelError for a step of the Gymnasium environment that its table does not list."""
+        """Raise ModelError if a pair of the model cannot lead to a state."""
         if state not in self.successors[slice(*self.outcome_offsets[pair : pair + 2].tolist())]:
             raise ModelError(
                 f"{self.describe_pair(pair)} led to {self.states[state]!r}, which the "
@@ -116,18 +121,18 @@ class GridSSP(EnvironmentSSP):
         return partial(SSP, **fields_of(self, SSP)), ()
 
     def seen(self, env: Any, observation: Any) -> tuple[float, ...]:
-        """Return the Gymnasium environment's coordinates, unrounded, instead of its observation."""
+        """Return the coordinates of the environment, of which observations are rounded."""
         return tuple(map(float, env.unwrapped.state))
 
     def label(self, state: Any, terminated: bool) -> int:
-        """Return the cell of a point of the Gymnasium environment, or the state of an end."""
+        """Return the cell of a point, or the state of an end."""
         if terminated:
             return self.world.end_state("goal" if self.is_goal(state) else FAILED)
         is_inside = _is_in_box(self.world.grid, state)
         return self.world.grid.cell_of(state) if is_inside else self.world.end_state(OUTSIDE)
 
     def check_step(self, pair: int, state: int) -> None:
-        """Accept every step: the points of a cell that were not tried may lead elsewhere."""
+        """Accept every step: some points of a cell were not tried and may lead elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,12 +260,12 @@ def _predicate(table: _Table, name: str, listed: StateSet | None) -> Callable[[A
 
 
 def _is_in_cells(grid: Grid, cells: Container[Hashable], point: tuple[float, ...]) -> bool:
-    """Return whether a point of a Gymnasium environment is in the grid and in one of some cells."""
+    """Return whether a point lies in the box of a grid, in one of some cells."""
     return _is_in_box(grid, point) and grid.cell_of(point) in cells
 
 
 def _is_in_box(grid: Grid, point: tuple[float, ...]) -> bool:
-    """Return whether a point of a Gymnasium environment lies in the grid's box."""
+    """Return whether a point lies in the box of a grid."""
     return not grid.misses(grid.heights(tuple(map(np.asarray, point)))).any()
 
 
@@ -355,12 +360,12 @@ def _step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
 
 
 def _name_of(env: Any) -> str:
-    """Return the name of a Gymnasium environment, or of its class."""
+    """Return the name of an environment, or of its class if it has none."""
     return str(env.spec.id if env.spec is not None else type(env.unwrapped).__name__)
 
 
 class _Table(NamedTuple):
-    """An environment's table: its states, then those that occur in outcomes only."""
+    """Transitions of an environment as arrays; states that only outcomes mention come last."""
 
     states: list[Hashable]  # [states]
     listed: int  # number of states in the table
@@ -374,10 +379,10 @@ class _Table(NamedTuple):
 
 
 def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
-    """Return the Gymnasium environment's table of transitions, checked.
+    """Return the transitions that an environment lists in ``env.unwrapped.P``.
 
     Raises:
-        ModelError: no table, a wrong outcome, or probabilities that do not sum to one.
+        ModelError: no table, or an outcome that is not four entries.
     """
     listed = attributes_of(env.unwrapped, "P").get("P")
     if listed is None:
@@ -399,14 +404,6 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
         raise ModelError("an outcome in the table must be (probability, state, reward, terminated)")
     flat = list(chain.from_iterable(entries))
     probability, targets = np.array(flat[::4], dtype=np.float64), flat[1::4]
-    total = np.bincount(pair, probability, minlength=len(outcomes))
-    wrong = ~(np.abs(total - 1.0) <= SINGLE_PRECISION_SUM)
-    if wrong.any():
-        k = int(np.argmax(wrong))
-        raise ModelError(
-            f"action {actions[k]!r} of state {list(index)[int(pair_state[k])]!r}: the table's "
-            f"probabilities sum to {total[k]:.9g}"
-        )
     for state in dict.fromkeys(targets):
         index.setdefault(_plain(state), len(index))
     occurs = probability != 0.0
@@ -424,17 +421,17 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
 
 
 def _keys(listed: Any) -> Any:
-    """Return the keys of a Gymnasium environment's dict, or positions in a list."""
+    """Return the keys of a dict, or the positions in a list."""
     return listed if isinstance(listed, Mapping) else range(len(listed))
 
 
 def _values(listed: Any) -> Any:
-    """Return the values of a Gymnasium environment's dict, or entries of a list."""
+    """Return the values of a dict, or the entries of a list."""
     return listed.values() if isinstance(listed, Mapping) else listed
 
 
 def _plain(value: Any) -> Any:
-    """Return a number from a Gymnasium environment as one of Python's; other values unchanged."""
+    """Return a number of numpy as one of Python; other values unchanged."""
     return value.item() if isinstance(value, np.generic) else value
 
 
@@ -474,7 +471,7 @@ def _model_of_table(
     goal: Callable[[Any], bool] | None,
     cost: CostFunction,
 ) -> EnvironmentSSP:
-    """Return the model of a Gymnasium environment: every state of its table, and the ends.
+    """Return the model of an environment: every state of its table, and the separate ends.
 
     Args:
         table: table of the environment.
@@ -483,7 +480,8 @@ def _model_of_table(
         cost: cost of a step.
 
     Raises:
-        ModelError: goals that do not follow from rewards, or a cost that is not a number >= 0.
+        ModelError: goals that do not follow from rewards, probabilities that do not sum to one, or
+            a cost that is not a number >= 0.
     """
     n_states = len(table.states)
     listed = np.arange(n_states) < table.listed
@@ -537,7 +535,7 @@ def _model_of_table(
 def _costs_of_outcomes(
     table: _Table, kept: IntArray, cost: CostFunction
 ) -> tuple[npt.ArrayLike, dict[float, Fraction]]:
-    """Return the costs of some outcomes in a Gymnasium table, and the fractions among them."""
+    """Return the costs of some outcomes of a table, and the fractions among them."""
     if cost is _step_cost:
         return 1.0, {}
     if cost is _reward_cost:
@@ -695,7 +693,7 @@ def rollout(
 
 
 class _Episode(NamedTuple):
-    """One episode of a rollout, and its end."""
+    """Result of an episode."""
 
     end: str  # a count of the report
     cost: float
@@ -707,14 +705,14 @@ class _Player:
     """The members of a lottery, with their decisions and memories cached."""
 
     def __init__(self, lottery: MixedPolicy, rng: np.random.Generator) -> None:
-        """Play a lottery on an environment's model."""
+        """Prepare the members of a lottery; ``rng`` draws them and their random actions."""
         self.model, self.lottery, self.rng = cast(EnvironmentSSP, lottery.model), lottery, rng
         self.over = dead_ends(lottery.model) | lottery.model.goal_mask  # [states]
         self._branches, self.remember = cache(self._branches_of), cache(_memory_after)
         self.ended = cache(lambda member: member.ended)  # [states], whatever came before
 
     def decide(self, member: Policy, state: int, memory: int) -> tuple[int, int]:
-        """Return a pair, or GIVE_UP_CODE, and the memory with which it is taken."""
+        """Draw a pair, or GIVE_UP_CODE, and return it with the memory after that decision."""
         pairs, kept, cumulative = self._branches(member, state, memory)
         drawn = 0
         if len(pairs) > 1:
@@ -724,7 +722,7 @@ class _Player:
     def _branches_of(
         self, member: Policy, state: int, memory: int
     ) -> tuple[list[int], list[int], list[float]]:
-        """Return a member's decisions, their memories, and cumulative probabilities."""
+        """Return the possible decisions: pairs, their memories, and cumulative probabilities."""
         branches = member.branches(np.array([state]), np.array([memory]))
         kept = branches.kept(np.array([memory]))
         if UNDECIDED in branches.pair:
@@ -745,7 +743,7 @@ _SEEN = "observed in the environment: the policy's model may be of another one"
 
 
 def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _Episode:
-    """Play an episode of at most ``most`` steps in the Gymnasium environment.
+    """Play an episode of at most ``most`` steps in an environment.
 
     Raises:
         ModelError: the environment leaves its table, or a step has a wrong cost.

@@ -14,7 +14,7 @@ from ssp_lp.errors import ModelError, in_short
 from ssp_lp.io.model_files.raw_model import RawModel, absorbed
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.ssp import DeadEnds, StateSet
+from ssp_lp.model.ssp import DeadEnds, StateSet, goal_mask_of
 
 
 @explained
@@ -59,11 +59,7 @@ def from_matrices(
         raise ModelError("give either costs or rewards")
     if actions is not None and len(actions) != len(matrices):
         raise ModelError(f"{len(actions)} names for {len(matrices)} actions")
-    goals = np.atleast_1d(np.asarray(sorted(goal) if isinstance(goal, Set) else goal))
-    if goals.ndim != 1 or not np.issubdtype(goals.dtype, np.integer) or not goals.size:
-        raise ModelError("goal must be indices of states, at least one")
-    if (goals < 0).any() or (goals >= n_states).any():
-        raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")
+    goals = np.flatnonzero(goal_mask_of([*goal] if isinstance(goal, Set) else goal, n_states))
     # one row for each state and action, sorted by state
     n_actions = len(matrices)
     order = np.arange(n_states * n_actions).reshape(n_actions, n_states).T.reshape(-1)
@@ -97,7 +93,7 @@ def from_matrices(
 
 
 def _matrix(matrix: Any) -> Any:
-    """Return a transition matrix, sparse, without entries that are 0."""
+    """Return a transition matrix as a sparse one without entries of 0."""
     try:
         entries = sp.csr_array(matrix, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
@@ -110,7 +106,7 @@ def _matrix(matrix: Any) -> Any:
 def _paid_by_matrix(
     given: Any, state: IntArray, action: IntArray, target: IntArray, matrices: Sequence[Any]
 ) -> FloatArray:
-    """Return the cost of each outcome from matrices of costs or rewards, [outcomes]."""
+    """Return the entry of each outcome in costs or rewards of any shape, [outcomes]."""
     n_states, n_actions = matrices[0].shape[0], len(matrices)
     if isinstance(given, (list, tuple)) and any(sp.issparse(part) for part in given):
         if len(given) != n_actions or any(part.shape != matrices[0].shape for part in given):

@@ -43,7 +43,7 @@ def _storm() -> Any:
 
 
 def _ask_storm(source: object, call: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Call a function of stormpy with its log off, which is printed to standard output.
+    """Call a function of stormpy without its log, which it prints to standard output.
 
     Raises:
         ModelError: Storm rejects the input; the message has the source and Storm's own words.
@@ -107,18 +107,18 @@ def read_with_storm(
     _check_kind(_ask_storm(file, getattr, program, "model_type").name, file)
     program, _ = _ask_storm(file, stormpy.instantiate_constants, program, constants or {})
     if missing := [constant.name for constant in program.constants if not constant.defined]:
-        told = f"{file} has undefined constants: {', '.join(missing)}; give their values ("
-        raise ModelError(told, Argument("constants"), ")")
+        message = f"{file} has undefined constants: {', '.join(missing)}; give their values ("
+        raise ModelError(message, Argument("constants"), ")")
     return _explored_program(stormpy, file, program, goal, cost, dead_ends)
 
 
 def _explored_program(
     stormpy: Any, file: Path, program: Any, goal: str, cost: str | None, dead_ends: DeadEnds | None
 ) -> ModelFile:
-    """Return Storm's model of a program without open constants."""
+    """Explore a program whose constants have values, and return its model."""
 
-    def asked(source: str, text: str) -> Any:
-        """Return a property of the program."""
+    def property_in(source: str, text: str) -> Any:
+        """Return the property that a text states; ``source`` is its name in errors."""
         parsed = _ask_storm(source, stormpy.parse_properties, text, program)
         if len(parsed) != 1:
             raise ModelError(f"{source}: there must be one condition, not {len(parsed)}")
@@ -127,16 +127,16 @@ def _explored_program(
     labels = [] if _is_jani(program) else [label.name for label in program.labels]
     listed = f" (labels: {', '.join(map(repr, labels))})" if labels else ""
     quoted = f'"{goal}"' if goal in (raw_model.INITIAL, raw_model.DEADLOCK, *labels) else goal
-    formula = asked(f"{file}, goal {goal!r}{listed}", quoted)
+    formula = property_in(f"{file}, goal {goal!r}{listed}", quoted)
     # given a condition alone, Storm would not explore beyond the states in which it holds
-    wanted = [formula, asked(str(file), "true")]
-    known = _reward_names(program)
-    place = raw_model.chosen_reward(file, known, cost)
+    wanted = [formula, property_in(str(file), "true")]
+    reward_names = _reward_names(program)
+    place = raw_model.chosen_reward(file, reward_names, cost)
 
     def built(rewards: list[str] | None) -> Any:
         """Return Storm's sparse model with some rewards; None: all."""
         formulas = [f'R{{"{name}"}}min=? [C]' if name else "Rmin=? [C]" for name in rewards or ()]
-        conditions = [*wanted, *(asked(str(file), text) for text in formulas)]
+        conditions = [*wanted, *(property_in(str(file), text) for text in formulas)]
         options = _ask_storm(file, stormpy.BuilderOptions, conditions, program)
         options.set_build_all_labels()
         options.set_build_choice_labels()
@@ -148,7 +148,7 @@ def _explored_program(
         return _ask_storm(file, stormpy.build_model, program, options=options)
 
     sparse = _with_most_rewards(
-        built, known, None if cost == raw_model.FIRST_COST else place, program
+        built, reward_names, None if cost == raw_model.FIRST_COST else place, program
     )
     answer = _model_of_storm(sparse, goal, formula, cost, str(file), dead_ends, program)
     model = answer.model
@@ -162,12 +162,12 @@ def _explored_program(
 
 
 def _is_jani(program: Any) -> bool:
-    """Return whether Storm's program is one of JANI, where labels and rewards are variables."""
-    return bool(attributes_of(program, "automata"))
+    """Return whether a program of stormpy is in JANI; False for one of PRISM's, or none."""
+    return type(program).__name__ == "JaniModel"  # its module depends on the version of stormpy
 
 
 def _reward_names(program: Any) -> list[str]:
-    """Return the reward names of Storm's program; in JANI these are its transient numbers."""
+    """Return the names of a program's rewards, which in JANI are its transient numbers."""
     if not _is_jani(program):
         return sorted(reward.name for reward in program.reward_models)
     numbers = [v for v in program.global_variables if v.is_transient]
@@ -195,8 +195,8 @@ def _with_most_rewards(
     try:
         sparse = built(kept)
     except ModelError as error:
-        hint = _AVERAGED if kept and _differs_between_outcomes(program, kept[0]) else ""
-        raise ModelError(f"{error}{hint}") from error
+        is_averaged = kept and _is_jani(program) and _differs_between_outcomes(program, kept[0])
+        raise ModelError(f"{error}{_AVERAGED if is_averaged else ''}") from error
     for name in names:
         if name not in kept:
             with suppress(ModelError):
@@ -206,7 +206,7 @@ def _with_most_rewards(
 
 
 def _differs_between_outcomes(program: Any, cost: str) -> bool:
-    """Return whether a JANI program assigns a variable differently at destinations of an edge."""
+    """Return whether destinations of one edge of a JANI program assign different costs."""
 
     def paid(destination: Any) -> float | str:
         """Return the value assigned at a destination; as text if it is not a number."""
@@ -216,13 +216,12 @@ def _differs_between_outcomes(program: Any, cost: str) -> bool:
                 return str(value) if value.contains_variables() else value.evaluate_as_double()
         return 0.0
 
-    automata = program.automata if _is_jani(program) else ()
-    edges = [edge for automaton in automata for edge in automaton.edges]
+    edges = [edge for automaton in program.automata for edge in automaton.edges]
     return any(len({paid(destination) for destination in edge.destinations}) > 1 for edge in edges)
 
 
 def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
-    """Return the variables that Storm adds to those of a program in JANI.
+    """Return the variables that Storm adds to those of a program in JANI; others get none.
 
     Returns:
         The names of their locations; None: the variable distinguishes no states.
@@ -230,10 +229,9 @@ def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
     added: dict[str, list[str] | None] = {}
     if not _is_jani(program):
         return added
-    automata = list(program.automata)
-    for variables in (program.global_variables, *(a.variables for a in automata)):
+    for variables in (program.global_variables, *(each.variables for each in program.automata)):
         added |= {variable.name: None for variable in variables if variable.is_transient}
-    for automaton in automata:
+    for automaton in program.automata:
         places = [location.name for location in automaton.locations]
         added[automaton.location_variable.name] = places if len(places) > 1 else None
     return added
@@ -314,7 +312,7 @@ def _model_of_storm(
         if not checked.is_qualitative():
             raise ModelError(f"{source}: the goal must be a condition on states, not {goal!r}")
         labels[goal] = np.array(list(checked.get_truth_values_vector()), dtype=np.int64)
-    states = _state_names(archive, {} if program is None else _bookkeeping(program))
+    states = _state_names(archive, _bookkeeping(program))
     paid = next((name for name, costs in raw.named_costs.items() if costs is raw.costs), "")
     source = f"{source}, cost {paid!r}" if paid else source
     return raw_model.finished(raw._replace(labels=labels, states=states), goal, source, dead_ends)
@@ -323,7 +321,7 @@ def _model_of_storm(
 def _state_names(
     archive: UmbArchive, added: Mapping[str, Sequence[str] | None]
 ) -> Sequence[Hashable] | None:
-    """Return the values of each state's variables, in Storm's order; None: not distinct.
+    """Return the tuple of each state's variables in Storm's order; None if tuples are repeated.
 
     Args:
         archive: archive of Storm.
@@ -343,7 +341,7 @@ def _state_names(
 
 
 def _check_kind(kind: str, source: object) -> None:
-    """Raise :class:`ModelError` unless Storm's name of a kind of models is supported."""
+    """Raise :class:`ModelError` unless a kind of models, by Storm's name, is supported."""
     if kind not in ("MDP", "DTMC"):
         raise ModelError(f"{source} is a {kind}: only MDPs and DTMCs are supported")
 

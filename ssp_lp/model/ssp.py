@@ -586,7 +586,7 @@ class SSP(Graph, ReadOnlyCopies):
             successors=target,
             probabilities=chance,
             costs=_costs_of_outcomes(costs, outcomes),
-            goal_mask=_goal_mask(goal_states, n_states),
+            goal_mask=goal_mask_of(goal_states, n_states),
             state_labels={},
             exact_costs=dict(exact_costs or {}),
             named_costs={
@@ -1354,7 +1354,7 @@ def _with_a_letter_less(name: Any, least: int = 4) -> set[str]:
     return {name, *(name[:k] + name[k + 1 :] for k in range(len(name)))}
 
 
-def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
+def goal_mask_of(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
     """Return the mask of a model's goal states from their indices, [states].
 
     Raises:

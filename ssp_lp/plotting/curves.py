@@ -31,7 +31,7 @@ INK, PALE = "#333333", "#777777"
 
 
 class _Look(NamedTuple):
-    """Style of one of several elements of a plot, which differ in more than colour."""
+    """Style of a curve or a bar; styles differ in more than their colours."""
 
     colour: str
     line: str | tuple[int, tuple[int, ...]]
@@ -188,11 +188,11 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
         value = frontier.objective_at(budget)
     except SolverError:
         low, high = frontier.bounds_at(budget)
-        told = f"{low:.5g} to {high:.5g}"
+        interval = f"{low:.5g} to {high:.5g}"
         if f"{low:.5g}" == f"{high:.5g}":
-            told = f"{high:.5g}, to {high - low:.0e}"
+            interval = f"{high:.5g}, to {high - low:.0e}"
         ax.plot([budget, budget], [low, high], "_-", color=look.colour, linewidth=2, markersize=14,
-                zorder=5, markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
+                zorder=5, markeredgewidth=2, label=f"budget {budget:g}: {interval}")  # fmt: skip
         return
     digits = int(np.clip(-np.log10(frontier.gap), 2, 5))  # as many as the gap leaves certain
     certain = float(f"{value:.{digits}g}")
@@ -208,14 +208,14 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
     if slopes:
         by_failure = frontier.ratio and frontier.over == "failure"
         prices = sorted(abs(slope) * (1.0 - budget if by_failure else 1.0) for slope in slopes)
-        told = " to ".join(f"{price:.4g}" for price in prices)
-        words = f"tangent{'s' * (len(prices) - 1)}: {frontier.over} price {told}"
+        listed = " to ".join(f"{price:.4g}" for price in prices)
+        words = f"tangent{'s' * (len(prices) - 1)}: {frontier.over} price {listed}"
         ax.plot([], [], color=INK, linestyle="-.", linewidth=1, label=words)
 
 
 @dataclass
 class BoundsRecord:
-    """Record of the reports of ``solve`` while it runs: ``progress=BoundsRecord()``. Mutable."""
+    """Record of the progress of ``solve``, to which it is passed as ``progress``. Mutable."""
 
     began: float = field(default_factory=time.perf_counter)
     seconds: list[float] = field(default_factory=list)  # [reports] since then
@@ -223,7 +223,7 @@ class BoundsRecord:
     objectives: list[float] = field(default_factory=list)  # [reports] of the best policy so far
 
     def __call__(self, calls: int, price: float, objective: float) -> None:
-        """Store a report."""
+        """Add a report of ``solve``."""
         self.seconds.append(time.perf_counter() - self.began)
         self.prices.append(price)
         self.objectives.append(objective)
@@ -340,7 +340,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
 
 
 def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
-    """Return the bars of the plotted cost law: middles, probabilities given success, and width."""
+    """Return the bars of a cost law: middles, probabilities given success, and their width."""
     costs, masses = law.all_but(_UNSEEN * law.goal)
     shares = masses / law.goal
     if len(costs) <= 1:

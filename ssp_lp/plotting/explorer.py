@@ -49,7 +49,7 @@ class Explorer:
     page: str  # HTML
 
     def write(self, path: str | Path) -> None:
-        """Write the page; raise :class:`ModelError` unless the name ends in .html or .htm."""
+        """Write the page to a file whose name ends in .html or .htm."""
         _check_page_name(path)
         Path(path).write_text(self.page, encoding="utf-8")
 
@@ -64,7 +64,7 @@ class Explorer:
 
 
 def _check_page_name(path: str | Path) -> None:
-    """Raise :class:`ModelError` unless the file's name has an ending of web pages."""
+    """Raise :class:`ModelError` unless the name of a file ends in .html or .htm."""
     if Path(path).suffix not in (".html", ".htm"):
         raise ModelError(f"a page's name must end in .html, not {str(path)!r}")
 
@@ -110,8 +110,8 @@ def explore(
     """
     check_whole("episodes", episodes, 0)
     if not isinstance(frontier, Frontier) or frontier.problem is None:
-        told = f"explore takes a frontier of a problem, not {in_short(frontier)}"
-        raise ModelError(f"{told}; trace_frontier(problem) makes one")
+        message = f"explore takes a frontier of a problem, not {in_short(frontier)}"
+        raise ModelError(f"{message}; trace_frontier(problem) makes one")
     if path is not None:
         _check_page_name(path)
     problem = frontier.problem
@@ -147,10 +147,10 @@ def explore(
 
 def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]) -> dict[str, Any]:
     """Return the data of each turning point."""
-    listed = (entry for found in evaluations for entry in found.ends.items())
+    listed = (entry for each in evaluations for entry in each.ends.items())
     names = list(dict.fromkeys(name for name, share in listed if share > 1e-12))  # else rounding
-    reached = np.array([found.goal_probability for found in evaluations])
-    paid = np.array([found.conditional_cost for found in evaluations])
+    reached = np.array([each.goal_probability for each in evaluations])
+    paid = np.array([each.conditional_cost for each in evaluations])
     region, spent = frontier.region, frontier.spent
     begin = problem.failure_budget if frontier.over == "failure" else None
     begin = 0.5 * sum(region) if begin is None else begin
@@ -165,13 +165,13 @@ def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]
         "price": frontier.price.tolist(),
         "region": list(region),
         "begin": float(f"{np.clip(begin, spent[0], spent[-1]):.4g}"),
-        "failing": [found.failure_probability for found in evaluations],
+        "failing": [each.failure_probability for each in evaluations],
         "reached": reached.tolist(),
         "paid": np.where(reached > 0.0, paid * reached, 0.0).tolist(),
         "end_names": [name.replace("_", " ") for name in names],
-        "ends": [[found.ends.get(name, 0.0) for name in names] for found in evaluations],
+        "ends": [[each.ends.get(name, 0.0) for name in names] for each in evaluations],
         "quantities": {
-            name: [found.secondary_costs[name] for found in evaluations]
+            name: [each.secondary_costs[name] for each in evaluations]
             for name in evaluations[0].secondary_costs
         },
     }
@@ -180,7 +180,7 @@ def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]
 def _laws(
     policies: list[MixedPolicy], problem: Problem, in_region: BoolArray
 ) -> dict[str, Any] | None:
-    """Return the probability of each total cost and success, in bars common to all points.
+    """Return probabilities of total costs at each turning point, in the same bars for all.
 
     None if the goal is never reached, or costs are too many.
     """
@@ -211,7 +211,7 @@ def _short(numbers: FloatArray) -> list[float]:
 
 
 def _are_points(model: SSP) -> bool:
-    """Return whether most states are pairs of numbers: places in the plane."""
+    """Return whether most states are pairs of numbers, which are points in the plane."""
     return sum(map(_is_point, model.states)) > 0.5 * model.n_states
 
 
@@ -225,7 +225,7 @@ def _is_point(state: object) -> bool:
 
 
 def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
-    """Return the position of each state, nan for none, [states, 2]; None: too large a model."""
+    """Return the point of each state, nan for none, [states, 2]; None if nothing is drawn."""
     model = problem.model
     if cells is not None:
         return plane.cells_of(model, cells)
@@ -235,7 +235,7 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
 
 
 def _layout(problem: Problem) -> FloatArray:
-    """Return positions of a small model's states by distance from the start, [states, 2]."""
+    """Return points for the states of a graph, by their distance from the start, [states, 2]."""
     model = problem.model
     begun = np.flatnonzero(problem.start_mass > 0.0)
     rows = segment_ids(model.pair_offsets)[segment_ids(model.outcome_offsets)]
@@ -258,7 +258,7 @@ def _plane(
     *,
     is_graph: bool,
 ) -> dict[str, Any]:
-    """Return the visits of each place, and the flow along each arrow, at each turning point."""
+    """Return the visits of each cell, and the flow along each arrow, at each turning point."""
     model, (middles, place) = problem.model, plane.distinct_points(points)
     known = place >= 0
     owner, outcome_pair = segment_ids(model.pair_offsets), segment_ids(model.outcome_offsets)
@@ -316,7 +316,7 @@ def _runs(
     words = ["goal", *model.state_labels, "dead-end", "gave up, or goes on"]
     placed = plane.with_point(points)
 
-    def told(path: IntArray) -> dict[str, Any]:
+    def run_of(path: IntArray) -> dict[str, Any]:
         """Return the data of a run."""
         mark = int(marks[int(path[-1])])
         steps = path[placed[path]][:300]  # longer lines hide the plane
@@ -325,7 +325,7 @@ def _runs(
     runs = []
     for policy in policies:
         played = simulate(policy, problem, episodes=max(episodes, 1), seed=seed, record=episodes)
-        runs.append([told(path) for path in played.paths])
+        runs.append([run_of(path) for path in played.paths])
     aside = np.random.default_rng(seed).uniform(-_SPREAD, _SPREAD, (episodes, 2))
     where = np.where(placed[:, None], points, 0.0)
     return {"runs": runs, "points": where.tolist(), "aside": aside.tolist()}

@@ -33,7 +33,9 @@ Places = Mapping[Any, Point] | Callable[[Any], Point | None]
 
 @explained
 def row_major(rows: int, columns: int) -> Callable[[int], Point]:
-    """Return the map to the plane of cells numbered row by row from the upper left corner, from 0.
+    """Return a function from the number of a cell to its point in the plane.
+
+    Cells are numbered from 0 row by row, beginning in the upper left corner.
 
     Args:
         rows: number of rows.
@@ -199,7 +201,7 @@ def plot_grid_policy(
     most_visits: float | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot a policy's decisions in the plane, cells shaded by expected visits.
+    """Plot a policy's decisions in the plane, with cells shaded by their expected visits.
 
     A cell with one action has one arrow. If there are several, by a lottery, by chance or by
     memory, the cell is marked by a ring, and each has an arrow from it, whose length grows with its
@@ -288,15 +290,15 @@ def _plot_policies(
     most = max(seen.visits.max(initial=0.0) for seen in drawn) if most is None else most
     for ax, seen in zip(axes, drawn, strict=True):
         draw_ground(ax, problem, points, walls)
-        some = seen.visits > 0.0
-        corners = (seen.middles[some] - 0.5).tolist()
+        visited = seen.visits > 0.0
+        corners = (seen.middles[visited] - 0.5).tolist()
         shades = collections.PatchCollection(
             [patches.Rectangle(tuple(corner), 1.0, 1.0) for corner in corners],
             cmap=colors.LinearSegmentedColormap.from_list("visits", ["white", "#6baed6"]),
             norm=colors.Normalize(0.0, max(most, _UNSEEN)),
             zorder=1,
         )
-        shades.set_array(seen.visits[some])
+        shades.set_array(seen.visits[visited])
         ax.add_collection(shades)
         _draw_decisions(ax, seen, directions)
         add_legend(ax)
@@ -353,7 +355,7 @@ _SPREAD = 0.3  # of a cell's side: greatest offset of a path from its middle
 def plot_paths(
     paths: Sequence[Any], ends: Sequence[str], *, order: Sequence[str] = (), ax: Axes | None = None
 ) -> Axes:
-    """Plot paths in the plane; each end of a path has its colour, line and marker.
+    """Plot paths in the plane, in a style for each kind of end.
 
     The first kind of end is drawn palely and beneath the others, so that the exceptions stand out.
 

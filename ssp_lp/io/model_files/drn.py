@@ -212,7 +212,6 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
     listed = re.split("[ \t]", header.get("@reward_models", "").removesuffix(" "))
     rewards = [word.strip('"') for word in listed]
     rewards = rewards if rewards.count("") == 1 < len(rewards) else [*filter(None, rewards)]
-    place = raw_model.chosen_reward(file.path, rewards, cost)
     n_states, n_choices = int(header["@nr_states"]), int(header.get("@nr_choices", -1))
     file.n_rewards, file.n_states = len(rewards), n_states
     for line in lines:
@@ -228,16 +227,14 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
     paid = np.reshape(file.rewards, (is_action.size, -1))
     of_pairs, of_states = paid[is_action].T, paid[~is_action][state].T
     listed = [raw_model.decimal_sum(*each) for each in zip(of_pairs, of_states, strict=True)]
-    is_rewarded = file.is_rewarded or place is not None
-    costs = [np.repeat(c, sizes) for c in (listed if is_rewarded else [np.ones(state.size)])]
+    costs = [np.repeat(paid, sizes) for paid in (listed if rewards or file.is_rewarded else [])]
     offsets = offsets_of(counts)
     return RawModel(
         pair_offsets=offsets,
         outcome_offsets=offsets_of(sizes),
         successors=np.array(file.successors),
         probabilities=np.array(file.probabilities),
-        costs=costs[place or 0],
-        named_costs=raw_model.named_rewards(rewards, costs),
+        **raw_model.costs_of_rewards(file.path, rewards, costs, cost, len(file.successors)),
         actions=raw_model.distinct_actions(file.names, offsets),
         labels={name: np.array(at, dtype=np.int64) for name, at in file.labels.items()},
     )
@@ -245,7 +242,7 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
 
 @explained
 def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
-    """Write a model as a DRN file for Storm; packed for it if the name ends in .gz or .xz.
+    """Write a model as a DRN file for Storm, packed if the name ends in .gz or .xz.
 
     State k of the file is the k-th of ``model.states``. Each cost is an action reward, the model's
     own first, called "cost" if it has no name. If outcomes of an action differ in cost, the action

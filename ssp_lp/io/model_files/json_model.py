@@ -1,4 +1,4 @@
-"""Models in JSON files: tables by name, and the explicit form of published cases."""
+"""Models in JSON files: tables by name, and choices of numbered states."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def parse_json(
     cost: str | None = None,
     dead_ends: DeadEnds | None = None,
 ) -> StatedModel:
-    """Return the model in a JSON text, a table by name or an explicit case.
+    """Return the model in a JSON text: a table by name, or choices of numbered states.
 
     In a table names are strings, a cost is a number or ``{name: number}``, and a number may be a
     fraction as a string, "1/3".
@@ -78,7 +78,7 @@ def parse_json(
 def _explicit_json(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> dict[str, Any]:
-    """Return a published case in JSON, with choices by numbered state, as a model's document."""
+    """Return a file of choices of numbered states as a document of transitions by name."""
     if not str(table["format"]).startswith(EXPLICIT):
         raise ModelError(f"{source}: the format {table['format'][:40]!r} is unknown")
     try:
@@ -109,7 +109,7 @@ def _explicit_json(
 
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a JSON object, or raise :class:`ModelError` for a repeated name."""
+    """Return the members of a JSON object, or raise :class:`ModelError` for a repeated name."""
     members = dict(pairs)
     if len(members) < len(pairs):
         names = [name for name, _ in pairs]
@@ -126,7 +126,7 @@ _FRACTION = re.compile(r"-?\d{1,300}([./]\d{1,300})?")
 
 
 class StatedModel(NamedTuple):
-    """A model in a file, with its start, if the file has one."""
+    """A model in a file, with its start if the file states one."""
 
     model: SSP
     start: Hashable | Mapping[Hashable, float] | None = None
@@ -158,14 +158,14 @@ def _stated_model(
         dead_ends = [*map(str, listed_ends)]  # for another goal they need not be dead-ends
     goal = goal or own_goal
     if not goal:
-        told = f"{source} does not list the goal states: name them by "
-        raise ModelError(told, Argument("goal"))
+        message = f"{source} does not list the goal states: name them by "
+        raise ModelError(message, Argument("goal"))
     transitions: dict[Hashable, Any] = {}
     counted = set[str]()
     for state, actions in (listed or {}).items():
         if not isinstance(actions, dict):
-            told = f"state {state!r} needs {{action: [[probability, successor, cost], ...]}}"
-            raise ModelError(told)
+            message = f"state {state!r} needs {{action: [[probability, successor, cost], ...]}}"
+            raise ModelError(message)
         transitions[state] = {
             name: [
                 _json_outcome(f"action {name!r} of state {state!r}", outcome, cost, counted)
@@ -201,7 +201,7 @@ def _stated_model(
 def _json_outcome(
     where: str, outcome: Any, cost: str | None, counted: set[str]
 ) -> tuple[Any, Hashable, Any]:
-    """Return a checked outcome; ``counted`` gets the name of the cost that counts."""
+    """Return a checked outcome, and add the name of the cost that counts to ``counted``."""
     fits = isinstance(outcome, list) and len(outcome) == 3
     if not fits or not isinstance(outcome[1], (str, int)):
         raise ModelError(
@@ -215,24 +215,24 @@ def _json_outcome(
         counted.add(_counted_cost(where, named, cost))
         paid = {name: _json_number(value) for name, value in named.items()}
     elif cost not in (None, FIRST_COST):
-        told = f"{where}: the costs of this model have no names such as {cost!r}: leave out "
-        raise ModelError(told, Argument("cost"))
+        message = f"{where}: the costs of this model have no names such as {cost!r}: leave out "
+        raise ModelError(message, Argument("cost"))
     return _json_number(chance), str(successor), _json_number(paid)
 
 
 def _counted_cost(where: str, costs: Mapping[str, Any], cost: str | None) -> str:
-    """Return the name of the cost that counts, of several: the requested or the only one."""
+    """Return the name of the cost that counts: the requested one, or the only one."""
     if cost is not None and cost in costs:
         return cost
     if costs and (cost == FIRST_COST or (cost is None and len(costs) == 1)):
         return next(iter(costs))
-    said = "" if cost is None else f", not {cost!r}{did_you_mean(cost, costs)}"
-    known = f"{', '.join(map(repr, costs))}, or {UNIT!r}, which is 1 for each step"
-    raise ModelError(f"{where}: choose one of the costs (", Argument("cost"), f"): {known}{said}")
+    hint = "" if cost is None else f", not {cost!r}{did_you_mean(cost, costs)}"
+    choices = f"{', '.join(map(repr, costs))}, or {UNIT!r}, which is 1 for each step"
+    raise ModelError(f"{where}: choose one of the costs (", Argument("cost"), f"): {choices}{hint}")
 
 
 def _json_number(value: Any) -> Any:
-    """Return a number of a JSON model as the fraction of its digits; other values unchanged."""
+    """Return a text such as "1/3" or "0.1" as a fraction; other values unchanged."""
     if isinstance(value, str) and _FRACTION.fullmatch(value) and not re.search(r"/0+$", value):
         return Fraction(value)
     return value
@@ -270,8 +270,8 @@ def model_in_json(
 
     def paid(costs: Sequence[float]) -> Any:
         """Return the cost of an outcome: a number, or several by name, fractions as strings."""
-        told = [str(model.exact_costs.get(cost, "")) or cost for cost in costs]
-        return dict(zip(by_name, told, strict=True)) if model.named_costs else told[0]
+        amounts = [str(model.exact_costs.get(cost, "")) or cost for cost in costs]
+        return dict(zip(by_name, amounts, strict=True)) if model.named_costs else amounts[0]
 
     numbers = model.probabilities, model.successors, *by_name.values()
     for state, name in enumerate(names):

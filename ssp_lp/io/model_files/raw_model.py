@@ -59,7 +59,7 @@ def opened_text(path: Path, what: str = "text") -> Iterator[TextIO]:
 
 @contextmanager
 def broken_files_named(path: Path, what: str) -> Iterator[None]:
-    """Turn errors of a file that cannot be unpacked, or is not a text, into :class:`ModelError`."""
+    """Raise :class:`ModelError` for a file that cannot be unpacked or is not a text."""
     try:
         yield
     except _BROKEN as error:
@@ -68,7 +68,7 @@ def broken_files_named(path: Path, what: str) -> Iterator[None]:
 
 @contextmanager
 def _unpacked(path: Path) -> Iterator[IO[bytes]]:
-    """Open a model's text file for reading its unpacked bytes."""
+    """Open a file for reading its unpacked bytes."""
     with path.open("rb") as plain:
         packing = plain.read(2)
     if packing == _ZIP:
@@ -98,7 +98,7 @@ def _check_single(n_files: int, path: Path) -> None:
 
 
 def write_text(path: FilePath, pieces: Iterable[str]) -> None:
-    """Write a model's text file piece by piece, packed by gzip if the name ends in .gz."""
+    """Write a text piece by piece, packed by gzip if the name of the file ends in .gz."""
     place = Path(path)
     opener: Any = partial(gzip.open, compresslevel=_GZIP_LEVEL) if place.suffix == ".gz" else open
     with opener(place, "wt", encoding="utf-8", newline="\n") as file:
@@ -106,7 +106,7 @@ def write_text(path: FilePath, pieces: Iterable[str]) -> None:
 
 
 def write_tar(path: FilePath, files: Mapping[str, IO[bytes]], packing: str) -> None:
-    """Write the files of a model by their names as a tar archive, packed by ".gz" or ".xz"."""
+    """Write files by name as a tar archive, packed by gzip (".gz") or xz (".xz")."""
     with (
         gzip.open(path, "wb", _GZIP_LEVEL) if packing == ".gz" else lzma.open(path, "wb") as packed,
         tarfile.open(fileobj=packed, mode="w:") as archive,
@@ -123,7 +123,7 @@ FIRST_COST = "*"
 
 
 def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int | None:
-    """Return the position of the reward model that is the cost; None if the model has none.
+    """Return the position of the reward model that is the cost; None if there is none.
 
     Args:
         source: name of the model in errors.
@@ -140,20 +140,36 @@ def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int
     places = [k for k, name in enumerate(names) if cost in (None, name)]
     if len(places) == 1:
         return places[0]
-    said = "" if cost is None else f"no reward model {cost!r}; "
+    unknown = "" if cost is None else f"no reward model {cost!r}; "
     choices = ", ".join(map(repr, names)) or "none"
-    message = f"{source}: {said}choose one of the reward models ("
+    message = f"{source}: {unknown}choose one of the reward models ("
     raise ModelError(message, Argument("cost"), f"): {choices}")
 
 
-def named_rewards(names: Sequence[str], costs: Sequence[FloatArray]) -> dict[str, FloatArray]:
-    """Return the costs of the reward models by name, if the name belongs to only one of them.
+def costs_of_rewards(
+    source: object, names: Sequence[str], rewards: Sequence[FloatArray], cost: str | None, size: int
+) -> dict[str, Any]:
+    """Return the fields ``costs`` and ``named_costs`` of a raw model.
 
-    A reward model without a name is "" among several; if it is the only one it has no name. Without
-    reward models there are no named costs.
+    The named costs are those of the reward models whose name belongs to only one of them. A reward
+    model without a name is "" among several; if it is the only one it has no name.
+
+    Args:
+        source: name of the model in errors.
+        names: of the reward models.
+        rewards: of each outcome, [outcomes] each; none: every outcome costs 1.
+        cost: name of the cost, as in :func:`chosen_reward`.
+        size: number of outcomes.
+
+    Raises:
+        ModelError: no reward model has this name, or there are several to choose from.
     """
-    named = zip(names, costs, strict=False)  # the costs of 1 of no reward model have no name
-    return {name: paid for name, paid in named if names.count(name) == 1 and names != [""]}
+    place = chosen_reward(source, names, cost)
+    named = zip(names, rewards, strict=False)  # rewards without a declared reward model
+    return {
+        "costs": rewards[place or 0] if rewards else np.ones(size),
+        "named_costs": {n: paid for n, paid in named if names.count(n) == 1 and names != [""]},
+    }
 
 
 INITIAL, DEADLOCK, PAYING = "init", "deadlock", "paying"
@@ -165,7 +181,7 @@ PAY = "pay"
 
 
 class RawModel(NamedTuple):
-    """A model as in a file: any state may have actions, goal states included."""
+    """A model as a file contains it: goal states may have actions, too."""
 
     pair_offsets: IntArray  # [states + 1]
     outcome_offsets: IntArray  # [pairs + 1]
@@ -180,7 +196,7 @@ class RawModel(NamedTuple):
 
 
 def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
-    """Remove a raw model's states that only pay: their cost is added to that of the outcome before.
+    """Remove states that only pay: their cost is added to the cost of the outcome before.
 
     Such a state has the label "paying", one action, "pay", and one certain successor;
     :func:`exported` makes it if the outcomes of an action differ in cost. Quantities counted until
@@ -208,7 +224,7 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
     through = paying[raw.successors]
 
     def whole(costs: FloatArray) -> FloatArray:
-        """Return a cost of outcomes plus the cost of the paying state after it, [outcomes]."""
+        """Return the cost of each outcome plus that of the paying state after it, [outcomes]."""
         rest = np.where(through, costs[firsts[raw.successors]], 0.0)
         least = np.minimum(costs, rest)  # the sum does not hide a negative one
         return np.where(least < 0.0, least, decimal_sum(costs, rest, raw.exact_costs))
@@ -260,7 +276,7 @@ class ModelFile:
 
     @property
     def start(self) -> Hashable:
-        """Initial state of a file's raw model.
+        """The initial state.
 
         Raises:
             ModelError: the file names no initial state, or several.
@@ -275,7 +291,7 @@ class ModelFile:
 def finished(
     raw: RawModel, goal: str, source: object, dead_ends: DeadEnds | None = None
 ) -> ModelFile:
-    """Build the model from raw arrays, with the states of a label as goals.
+    """Build the model from a raw model, with the states of a label as goals.
 
     Actions of goal states are dropped. If no action leaves a state with the label "deadlock", its
     actions are dropped: it is a dead-end. States that only pay the rest of a cost are removed.
@@ -307,7 +323,13 @@ def finished(
 
 
 def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP:
-    """Build the model from raw arrays, without actions of goals and of absorbing idle states.
+    """Build the model from a raw model, without actions of goals and of idle states.
+
+    Args:
+        raw: content of the file.
+        goals: the goal states.
+        idle: states whose actions are dropped if none of them leaves the state.
+        source: the file, for errors.
 
     Raises:
         ModelError: naming the source, the state and the action at fault.
@@ -333,7 +355,7 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
 
 
 def distinct_actions(names: Sequence[str], pair_offsets: IntArray) -> Sequence[str]:
-    """Return the action names of a raw model, made distinct in each state, [pairs].
+    """Return action names that are distinct in each state, [pairs].
 
     An unnamed action is named by its position in the state; a repeated name gets a number.
     """
@@ -412,7 +434,7 @@ def costs_of_pairs(raw: RawModel) -> dict[str, FloatArray]:
 def _split_costs(
     model: SSP, costs: Iterable[FloatArray], pair: IntArray, occurs: BoolArray
 ) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
-    """Split the costs of outcomes: the least of the pair at once, the rest in a further state.
+    """Split the costs of outcomes: a pair costs the least, a further state pays the rest.
 
     Args:
         model: the model.
@@ -420,8 +442,9 @@ def _split_costs(
         pair: of each outcome that occurs, [outcomes].
         occurs: [outcomes of the model].
 
-    The next state of each outcome, [outcomes]; the costs of each pair, [pairs, costs]; and for each
-    state that pays its successor and its costs, [paying, costs].
+    Returns:
+        The next state of each outcome, [outcomes]; the costs of each pair, [pairs, costs]; and for
+        each state that pays its successor, [paying], and its costs, [paying, costs].
     """
     successors = model.successors[occurs].astype(np.int64)
     paid = np.stack([each[occurs] for each in costs], axis=1)
@@ -441,7 +464,12 @@ def _split_costs(
 
 
 def distinct_words(names: Sequence[Hashable], other: str = r"[^A-Za-z0-9_.+-]+") -> list[str]:
-    """Return names as distinct words for a raw model's file, with underscores for other signs."""
+    """Return names as distinct words, in which an underscore stands for other characters.
+
+    Args:
+        names: the names.
+        other: pattern of the characters that a word may not have.
+    """
     taken: set[str] = set()
     words = []
     for position, name in enumerate(names):
@@ -456,7 +484,7 @@ def distinct_words(names: Sequence[Hashable], other: str = r"[^A-Za-z0-9_.+-]+")
 def _exported_labels(
     model: SSP, start: Hashable, idle: IntArray, n_paying: int
 ) -> Mapping[str, IntArray]:
-    """Return the labels of an exported raw model, with those that have a meaning in files."""
+    """Return the labels of an exported model, with those that have a meaning in files."""
     if isinstance(start, Mapping):
         raise ModelError("such files need one start state: name it, or add a state that draws it")
     goals = np.flatnonzero(model.goal_mask)
@@ -482,7 +510,7 @@ _MOST_DISTINCT = 100_000
 def decimal_sum(
     one: FloatArray, other: FloatArray, exact: Mapping[float, Fraction] | None = None
 ) -> FloatArray:
-    """Add two arrays of a raw model's costs exactly, as the shortest decimals of the numbers.
+    """Add two arrays of costs exactly, each number as the shortest decimal that rounds to it.
 
     Args:
         one: [numbers].
@@ -508,7 +536,7 @@ def decimal_sum(
 
 
 def _distinct_pairs(one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return the distinct pairs of a raw model's finite costs, sorted.
+    """Return the distinct pairs of finite numbers in two arrays, sorted.
 
     Args:
         one: [numbers].

@@ -78,7 +78,7 @@ class UmbArchive:
     """
 
     def __init__(self, path: FilePath) -> None:
-        """Read the files of an archive; :class:`ModelError` unless it is a supported model."""
+        """Read the files of an archive, or raise :class:`ModelError`."""
         self.path = Path(path)
         with (
             raw_model.broken_files_named(self.path, "UMB archive"),
@@ -109,7 +109,7 @@ class UmbArchive:
         self._probability = self._stated(system, "branch-probability-type", dict)
 
     def raw_model(self, cost: str | None, source: object = None) -> RawModel:
-        """Return the archive's model, its states numbered.
+        """Return the model, whose states are numbers.
 
         Args:
             cost: name of the reward model that is the cost, as in :func:`read_umb`.
@@ -121,11 +121,9 @@ class UmbArchive:
         successors = self._array("branch-to-target.bin", "<u8", self._n_branches)
         if successors.max(initial=0) >= self._n_states:
             raise self._fault(f"there is no state {successors.max()}")
-        rewards = self._annotations("rewards")
-        names = [name for name, _, _ in rewards]
-        place = raw_model.chosen_reward(source or self.path, names, cost)
-        costs = [self._costs(key, each) for _, key, each in rewards]
-        costs = costs or [np.ones(self._n_branches)]
+        described = self._annotations("rewards")
+        names = [name for name, _, _ in described]
+        rewards = [self._costs(key, each) for _, key, each in described]
         labels = {
             name: np.flatnonzero(self._bits(f"annotations/aps/{key}/states/values.bin"))
             for name, key, _ in self._annotations("aps")
@@ -138,14 +136,15 @@ class UmbArchive:
             probabilities=self._numbers(
                 "branch-to-probability.bin", self._probability, self._n_branches
             ),
-            costs=costs[place or 0],
-            named_costs=raw_model.named_rewards(names, costs),
+            **raw_model.costs_of_rewards(
+                source or self.path, names, rewards, cost, self._n_branches
+            ),
             actions=self._actions(),
             labels=labels | {raw_model.INITIAL: initial},
         )
 
     def states(self) -> Sequence[Hashable] | None:
-        """Return the values of each state's variables, or None if they are not distinct."""
+        """Return the tuple of each state's variables, [states]; None if tuples are repeated."""
         names = list(zip(*self.variables().values(), strict=True))
         return names if len(set(names)) == self._n_states else None
 
@@ -198,7 +197,7 @@ class UmbArchive:
         return sorted(found, key=lambda each: each[:2])
 
     def _costs(self, key: str, described: dict[str, Any]) -> FloatArray:
-        """Return the cost of each outcome by one reward model: of state, choice and branch."""
+        """Return the cost of each outcome: the rewards of its state, choice and branch."""
         kind, folder = self._stated(described, "type", dict), f"annotations/rewards/{key}"
 
         def given(entity: str, size: int) -> FloatArray:
@@ -214,7 +213,7 @@ class UmbArchive:
         return raw_model.decimal_sum(of_choice[segment_ids(self._outcomes)], of_branch)
 
     def _actions(self) -> Sequence[str] | None:
-        """Return the action names (positions in the state if missing), [pairs]; None: no names."""
+        """Return the name of each pair's action, [pairs]; None if the archive has no names."""
         if f"{_ACTIONS}string-mapping.bin" not in self._files:
             return None
         text = self._files.get(f"{_ACTIONS}strings.bin", b"")
@@ -243,14 +242,14 @@ class UmbArchive:
         return index
 
     def _stated(self, place: Any, name: str, kind: type, *default: Any) -> Any:
-        """Return an entry of the index with this type; the default if it is missing."""
+        """Return an entry of the index, whose type is checked, or the default."""
         value = place.get(name, *default) if isinstance(place, dict) else None
         if type(value) is not kind:
             raise self._fault(f"its {_INDEX} needs {name!r}, of type {kind.__name__}")
         return value
 
     def _type(self, described: dict[str, Any]) -> tuple[str, int]:
-        """Return name and size in bits of a type."""
+        """Return the name of a type and its size in bits."""
         kind = self._stated(described, "type", str)
         most = _BITS.get(kind, 0)
         size = self._stated(described, "size", int, most)
@@ -280,7 +279,7 @@ class UmbArchive:
         return bits.astype(np.bool_)
 
     def _offsets(self, name: str, n_targets: int) -> IntArray:
-        """Return the offsets of each entry's targets, [entries + 1]; by default one each."""
+        """Return the offsets of each entry's targets, [entries + 1]; without a file one each."""
         if name not in self._files:
             return np.arange(n_targets + 1)
         offsets = self._array(name, "<i8", self._size(name, 8))
@@ -291,7 +290,7 @@ class UmbArchive:
         return np.asarray(offsets, dtype=np.int64)
 
     def _size(self, name: str, width: int) -> int:
-        """Return the number of a file's entries of this width in bytes."""
+        """Return how many entries of this width in bytes a file has."""
         return len(self._files.get(name, b"")) // width
 
     def _array(self, name: str, kind: str, size: int) -> Any:
@@ -302,7 +301,7 @@ class UmbArchive:
         return np.frombuffer(data, dtype=kind)
 
     def _fault(self, complaint: str) -> ModelError:
-        """Return the error that names the archive."""
+        """Return an error that names the archive."""
         return ModelError(f"{self.path}: {complaint}")
 
 
@@ -381,5 +380,5 @@ def _bit_set(members: IntArray, n_states: int) -> bytes:
 
 
 def _identifiers(names: Iterable[str]) -> list[str]:
-    """Return identifiers of annotations for the names of files in a UMB archive."""
+    """Return distinct identifiers for names of annotations, which name their files."""
     return raw_model.distinct_words([name.lower() for name in names], r"[^0-9a-z_-]+")

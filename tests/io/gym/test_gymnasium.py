@@ -222,7 +222,7 @@ def test_single_precision_is_rounding_and_more_is_not():
     world = from_gymnasium(environment({0: ends}, {}, {}))
     assert world.model.probabilities.tolist() == [1.0 / 3.0] * 3
     assert [type(state) for state in world.model.states] == [int] * 3
-    words = "action 0 of state 0: the table's probabilities sum"
+    words = "action 0 of state 0: probabilities sum to 0.9"
     refused(words, from_gymnasium, environment({0: [(0.9, 1, 1.0, True)]}, {}))
 
 
