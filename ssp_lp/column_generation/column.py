@@ -54,6 +54,10 @@ class Column:
         failure, goal = (1.0 - counted, counted) if by_goal else (counted, 1.0 - counted)
         return cls(cost, failure, goal, choice, rows=tuple(rows), by_goal=by_goal, **more)
 
+    def counting(self, *, by_goal: bool) -> Column:
+        """Return the column with minus the goal, or with failure, as its second reward."""
+        return self if self.by_goal == by_goal else replace(self, by_goal=by_goal)
+
     @cached_property
     def figures(self) -> FloatArray:
         """Rewards, [rewards]: cost, failure (or minus goal), and the value in each further row."""
@@ -242,10 +246,14 @@ class FailureRow:
         """Return the failure row with the least failure as the budget."""
         return replace(self, budget=GoalShare(least.goal) if self.is_rare else least.failure)
 
+    @property
+    def by_goal(self) -> bool:
+        """Whether columns count the goal rather than failure: the smaller number is exact."""
+        return self.demanded < 0.5
+
     def spare(self, column: Column) -> float:
         """Return the budget minus a column's failure, without cancellation; < 0: violated."""
-        demanded = self.demanded
-        return column.goal - demanded if demanded < 0.5 else self.budget - column.failure
+        return column.goal - self.demanded if self.by_goal else self.budget - column.failure
 
     def leaves_only(self, least: Column) -> bool:
         """Return whether the budget equals the least failure within rounding."""

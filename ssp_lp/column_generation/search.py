@@ -33,10 +33,10 @@ is near the least failure or below it.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from operator import attrgetter
-from typing import Any
 
 import numpy as np
 
@@ -132,15 +132,7 @@ def generate(master: Master, options: SolveOptions) -> Generated:
                 break
     if not finished:
         master.solve()
-    return Generated(
-        *master.lottery,
-        prices=master.prices,
-        ratio=master.rows.ratio if master.given_success else 0.0,
-        objective=master.optimum.value if master.elastic else master.objective,
-        lower_bound=master.bound,
-        finished=finished,
-        excess=master.optimum.excess,
-    )
+    return master.generated(finished=finished)
 
 
 _SHARE = 0.25  # share of the search time for intermediate proofs
@@ -159,6 +151,7 @@ _SLIGHT = 1e-6  # worth of a limit, relative to the objective, below which the m
 _ROUNDING = 1e-15  # relative rounding error of weighted totals
 _FEASIBLE = 1e-15
 """Feasibility tolerance: sum of the violations, each relative to its scale."""
+_KEPT = 1e-12  # feasibility tolerance of a row by figures of the model, relative to its bound
 _MET = 4.0 * MACHINE_EPSILON
 """Feasibility tolerance of one limit, relative to its bound."""
 
@@ -195,18 +188,21 @@ class Master:
     _spent: float = 0.0  # seconds on proofs
     _since: float = field(default_factory=time.perf_counter)
 
-    def begin_at_bound(self, row: FailureRow) -> None:
-        """Set the prices and the bound to those of a column that is known to be optimal.
+    @property
+    def failure_row(self) -> FailureRow:
+        """The failure row, if it is the only limit; else ModelError."""
+        if self.limit is None:
+            raise ModelError("a search with more limits than the budget needs the prices of all")
+        return self.limit
 
-        Args:
-            row: the failure row, the only limit.
-        """
+    def begin_at_bound(self) -> None:
+        """Set the prices and the bound to those of a column that is known to be optimal."""
         for column in self.pool.columns:
             if (price := column.found_at) is None or self.rows.by_goal:
                 continue
             self.solve()
             self.prices = np.full(len(self.prices), price - self.rows.ratio)
-            owed = float(self.prices.sum()) * row.budget
+            owed = float(self.prices.sum()) * self.failure_row.budget
             self.bound = column.cost + price * column.failure - owed
 
     def seek(self, tolerance: float) -> Column | None:
@@ -294,6 +290,18 @@ class Master:
         if self.pool.forgets:
             self.pool.columns = list(dict.fromkeys((*self.lottery[0], *mixed)))
 
+    def generated(self, *, finished: bool) -> Generated:
+        """Return the lottery of the solved master, with the best known prices."""
+        return Generated(
+            *self.lottery,
+            prices=self.prices,
+            ratio=self.rows.ratio if self.given_success else 0.0,
+            objective=self.optimum.value if self.elastic else self.objective,
+            lower_bound=self.bound,
+            finished=finished,
+            excess=self.optimum.excess,
+        )
+
     def _begin_at_larger_ratio(self) -> bool:
         """Raise the ratio to the one attained, or a steeper one; return whether to stop."""
         attained, steeper = self.objective, self.rows.ratio * _STEEP_RATIO
@@ -377,9 +385,7 @@ def certified(master: Master, generated: Generated, tolerance: float) -> Generat
         generated: its result.
         tolerance: relative gap.
     """
-    row, pricing, pool = master.limit, master.pool.pricing, master.pool
-    if row is None:
-        raise ModelError("a search with more limits than the budget needs the prices of all")
+    row, pricing, pool = master.failure_row, master.pool.pricing, master.pool
     price, last = generated.price, master.best or master.last or generated.columns[0]
     if len(generated.columns) > 1 and deadline.has_time_for(pool.took):
         with deadline.WithIncumbent(), deadline.closing():
@@ -413,7 +419,6 @@ def certified(master: Master, generated: Generated, tolerance: float) -> Generat
     )
 
 
-_SELDOM = 0.5  # below this demanded goal probability, columns count the goal instead of failure
 _STEEP = 5.0  # first price of failure, in units of the first policy's cost
 _STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until columns lie on both sides
 _LEAST_FACTOR = 1.5  # least factor of a step
@@ -429,29 +434,20 @@ class DualGuess:
     slack: bool = False  # whether the budget was slack there, so that one column is enough
 
 
-def master_at(
-    pricing: PricingProblem, row: FailureRow, *known: Column | None, **more: Any
-) -> Master:
+def master_at(pool: Pool, row: FailureRow, *known: Column | None) -> Master:
     """Return the master of a failure row alone, over columns of which one satisfies it.
 
     Args:
-        pricing: makes the columns.
+        pool: the work of finding the columns; updated in place.
         row: the budget and the form of the objective.
         known: first columns, of which the first satisfies the budget; None entries are ignored.
-        more: further fields of :class:`Pool`.
     """
-    pool = Pool(pricing, [], forgets=True, **more)
-    for column in known:
-        if column is not None:
-            same = column.by_goal == pricing.by_goal
-            pool.columns.append(column if same else replace(column, by_goal=pricing.by_goal))
-    limited, ratio = row.demanded > 0.0, 0.0
-    bounds = np.full(int(limited), -row.demanded if pricing.by_goal else row.budget)
+    by_goal = pool.pricing.by_goal
+    pool.columns = [column.counting(by_goal=by_goal) for column in known if column is not None]
+    pool.forgets, rows = True, Rows.of_failure(row, pool.pricing)
     if row.ratio:
-        ratio = row.objective(pool.columns[0].cost, pool.columns[0].goal)
-    form = pricing.n_rewards, pricing.by_goal, ratio
-    rows = Rows(np.ones(len(bounds), dtype=np.int64), bounds, np.ones(len(bounds)), *form)
-    return Master(pool, rows, np.zeros(len(bounds)), given_success=row.ratio, limit=row)
+        rows = replace(rows, ratio=row.objective(pool.columns[0].cost, pool.columns[0].goal))
+    return Master(pool, rows, np.zeros(len(rows.bounds)), given_success=row.ratio, limit=row)
 
 
 def columns_by_pricing(
@@ -476,14 +472,13 @@ def columns_by_pricing(
     last, dearest, doing = None, 0.0, "the process was being built"
     with deadline.WithIncumbent() as search:
         pricing = compiled.pricing()
-        if row.demanded < _SELDOM:
+        if row.by_goal:
             pricing = pricing.counting_success()
         doing = "the first policy was being evaluated"
         if guess is None:
             last = pricing.first()
-            typical = last.cost if last.goal <= 0.0 else row.objective(last.cost, last.goal)
-            if row.is_rare and last.goal > 0.0:
-                typical = last.cost / last.goal
+            counts_success = (row.ratio or row.is_rare) and last.goal > 0.0
+            typical = last.cost / last.goal if counts_success else last.cost
             price = _STEEP * typical if typical > 0.0 else 1.0
         else:
             price = guess.price
@@ -498,13 +493,10 @@ def columns_by_pricing(
     has_beside = row.ratio and not one_sided
     inside: Column | None = None
     outside: Column | None = None
-    work, calls, began, took = Work(), 0, time.perf_counter(), 0.0
+    pool = Pool(pricing)
     with deadline.WithIncumbent() as search:
         for step in (*steps, None):
-            began = time.perf_counter()
-            last, calls = pricing.minimise(price, last, inside, outside), calls + 1
-            took = max(took, time.perf_counter() - began)
-            work, value = work + last.work, np.inf
+            last, value = pool.priced(np.array([1.0, price]), last, inside, outside), np.inf
             for column in (last, *pricing.beside(last, row)) if has_beside else (last,):
                 if row.breaks(column):
                     outside = column
@@ -512,7 +504,7 @@ def columns_by_pricing(
                     inside, value = column, worth
                     deadline.ensure_incumbent(by_itself=True)
             if options.progress is not None:
-                options.progress(calls, price, value)
+                options.progress(pool.calls, price, value)
             enough = one_sided or outside is not None or deadline.is_late()
             if step is None or (inside is not None and enough):
                 break
@@ -527,14 +519,13 @@ def columns_by_pricing(
             price = max(price, dearest) * size if row.spare(last) < 0.0 else price / size
             dearest = 0.0
     if search.stop:
-        took = max(took, time.perf_counter() - began)
         inside = last = _initial_column_within(pricing, row, search.stop, inside, last)
     if inside is None or last is None:
         return None
-    master = master_at(pricing, row, inside, outside, calls=calls, work=work, took=took)
+    master = master_at(pool, row, inside, outside)
     master.last, master.tried = last, np.array([1.0, price])
     if row.ratio:
-        master.begin_at_bound(row)
+        master.begin_at_bound()
     return master
 
 
@@ -573,6 +564,39 @@ def _initial_column_within(
     return min(answers, key=lambda column: row.objective(column.cost, column.goal))
 
 
+def lottery_within(
+    pricing: PricingProblem,
+    columns: Sequence[Column],
+    rows: Rows,
+    *,
+    ratio: bool,
+    luck: float = 0.0,
+) -> Generated | None:
+    """Return the best lottery of evaluated columns within the rows.
+
+    Args:
+        pricing: made the columns.
+        columns: evaluated on the model, which may differ from the process.
+        rows: the limited rows.
+        ratio: whether the objective is a cost given success.
+        luck: a goal probability this small is a rounded 0.
+
+    Returns:
+        None if no lottery satisfies the rows and, if ``ratio``, reaches the goal.
+    """
+    counted = [column.counting(by_goal=rows.by_goal) for column in columns]
+    pool, none = Pool(pricing, counted), np.zeros(len(rows.index))
+    elastic = Master(pool, rows, none, elastic=True)
+    elastic.solve()
+    within = elastic.generated(finished=True)
+    if (within.figures[rows.index] > rows.bounds + _KEPT * np.abs(rows.bounds)).any():
+        return None
+    rows = replace(rows, ratio=pool.first_ratio(within) if ratio else 0.0)
+    master = Master(pool, rows, none, given_success=ratio, luck=luck)
+    master.solve()
+    return master.generated(finished=True) if np.isfinite(master.objective) else None
+
+
 def without_negligible_prices(
     prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
 ) -> FloatArray:
@@ -599,6 +623,13 @@ class Rows:
     by_goal: bool  # the second reward is minus the goal probability instead of failure
     ratio: float = 0.0  # weight of failure in the objective (Dinkelbach)
 
+    @classmethod
+    def of_failure(cls, row: FailureRow, pricing: PricingProblem) -> Rows:
+        """Return the failure row as the only row, or no row if the budget excludes no policy."""
+        bounds = np.full(int(row.demanded > 0.0), -row.demanded if pricing.by_goal else row.budget)
+        ones = np.ones(len(bounds))
+        return cls(ones.astype(np.int64), bounds, ones, pricing.n_rewards, pricing.by_goal)
+
     def among(self, some: tuple[int, ...]) -> Rows:
         """Return the rows at these positions."""
         k = list(some)
@@ -622,7 +653,7 @@ class Pool:
     """The columns found so far, in all phases, and the work of finding them."""
 
     pricing: PricingProblem
-    columns: list[Column]
+    columns: list[Column] = field(default_factory=list)
     calls: int = 0
     work: Work = field(default_factory=Work)
     took: float = 0.0  # seconds of the longest pricing call, about those of a proof
@@ -642,18 +673,30 @@ class Pool:
         """Return the column of least weighted rewards."""
         return self.columns[-1 - int(np.argmin((weights @ self.figures)[::-1]))]
 
-    def priced(self, weights: FloatArray, *warm: Column) -> Column:
+    def priced(self, weights: FloatArray, *warm: Column | None) -> Column:
         """Solve the pricing problem at the weights, starting from known columns.
 
         Args:
             weights: of the rewards, [rewards].
-            warm: columns to start from; without any, the best column of the pool.
+            warm: columns to start from; None entries are ignored. Without any, the best column of
+                the pool.
         """
         began = time.perf_counter()
-        column = self.pricing.minimise(weights, *(warm or (self.best(weights),)))
-        self.took = max(self.took, time.perf_counter() - began)
+        try:
+            column = self.pricing.minimise(weights, *(warm or (self.best(weights),)))
+        finally:
+            self.took = max(self.took, time.perf_counter() - began)
         self.calls, self.work = self.calls + 1, self.work + column.work
         return column
+
+    def first_ratio(self, lottery: Generated) -> float:
+        """Return a positive first ratio of case S: of a lottery, or the largest of a column."""
+        attained = lottery.given_success
+        if np.isfinite(attained) and attained > 0.0:
+            return attained
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = self.figures[0] / [column.goal for column in self.columns]
+        return float(ratios[np.isfinite(ratios)].max(initial=0.0)) or 1.0
 
     def proved(self, weights: FloatArray) -> Proof:
         """Prove a lower bound of the weighted rewards of every column."""

@@ -312,15 +312,18 @@ class PartitionedModel:
             compiled = compiled.bounded(compiled.least.column.failure, compiled.side)
         if compiled.side or compiled.objective is not None:
             found: Any = rows_optimum(compiled, options)
-            lottery, value, bound, prices = found.policy, found.value, found.bound, found.prices
+            prices = found.prices
         else:
             finer = 1.0 if compiled.sense.constant is None else _FINER
             exactly = replace(options, tolerance=finer * options.tolerance)
             found = refined_optimum(compiled, compiled.budget, exactly, guess)
-            lottery, ended = found.lottery, found.generated
-            value, bound, prices = ended.objective, ended.lower_bound, {FAILURE_ROW: ended.price}
+            prices = {FAILURE_ROW: found.price}
+        lottery = found.policy
         reason = f"column generation on {self.ranks.comm.size} ranks, {found.calls} pricing calls"
-        seconds, bound = time.perf_counter() - began, compiled.sense.settled_bound(value, bound)
+        seconds, bound = (
+            time.perf_counter() - began,
+            compiled.sense.settled_bound(found.value, found.bound),
+        )
         positions = np.stack([one.positions for one in lottery.policies])
         return PartitionedSolution(
             **_figures(compiled, lottery.weights, lottery.policies),

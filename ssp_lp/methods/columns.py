@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +18,8 @@ from ssp_lp.column_generation.compiled_problem import (
 from ssp_lp.column_generation.search import (
     DualGuess,
     Generated,
+    Master,
+    Pool,
     certified,
     columns_by_pricing,
     generate,
@@ -35,10 +36,18 @@ from ssp_lp.compiled.deadline import (
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.deterministic import best_deterministic
-from ssp_lp.methods.full_program import check_agreement, solve_program
-from ssp_lp.methods.refinement import Proved, refine
+from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_program
+from ssp_lp.methods.refinement import (
+    SPREAD,
+    TRIAL_TOLERANCE,
+    Optimum,
+    Proved,
+    finer_optima,
+    proved_objective,
+    refine,
+)
 from ssp_lp.options import CERTIFYING, Game, SolveOptions
-from ssp_lp.policies import DeterministicPolicy, MixedPolicy
+from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem
 from ssp_lp.processes.conditions import FAILURE_ROW
@@ -117,43 +126,31 @@ def best_within_budget(
     compiled = problem.compile()
     if guess is not None:
         compiled = compiled.capped_at((1.0 + guess.spread) * guess.price)
-    outcome = refined_optimum(compiled, budget, options, guess)
-    generated = outcome.generated
-    worth, bound = sense.worth(generated.objective), sense.worth(generated.lower_bound)
-    gained, is_met = -generated.objective, relative_gap(bound, worth) <= options.tolerance
+    optimum = refined_optimum(compiled, budget, options, guess)
+    worth, bound = sense.worth(optimum.value), sense.worth(optimum.bound)
+    gained, is_met = -optimum.value, relative_gap(bound, worth) <= options.tolerance
     if sense.constant and 0.0 < abs(worth) < gained and not is_met:  # cancellation in the worth
         finer = max(options.tolerance * abs(worth) / gained, _LEAST_TOLERANCE)
         exactly = replace(options, tolerance=finer)
-        outcome = outcome.followed_by(refined_optimum(outcome.compiled, budget, exactly))
-        generated = outcome.generated
-    beyond = generated.objective if outcome.row.ratio else 0.0
-    price = max(generated.price - beyond, 0.0)
-    compiled, unlimited = outcome.compiled, not problem.ratio and outcome.row.demanded <= 0.0
+        optimum = optimum.followed_by(refined_optimum(optimum.compiled, budget, exactly))
+    compiled, unlimited = optimum.compiled, not problem.ratio and optimum.row.demanded <= 0.0
     relaxed = replace(options, deterministic=False).method
     reason = _REASONS["unlimited" if unlimited and options.program is None else relaxed]
     if sense.constant is not None:
         reason = f"backward sweeps over {compiled.layers:,} layers of accumulated cost"
         if compiled.cost_horizon > 0.0:
             reason = f"{reason}, exact from cost {compiled.cost_horizon:.6g} on"
-    reason = f"{reason}, {outcome.calls} pricing calls"
-    notes = [remarks(problem, outcome.row.budget, generated.finished)]
+    reason = f"{reason}, {optimum.calls} pricing calls"
+    notes = [remarks(problem, optimum.row.budget, optimum.generated.finished)]
     if compiled.charge is not None and compiled.charge.settled is None:
-        notes += [_UNSETTLED] * (outcome.gap > options.tolerance)
-    answer = Answer(
-        outcome.lottery,
-        generated.objective,
-        generated.lower_bound,
-        generated.failure,
-        price,
-        generated.values,
-        note="; ".join(note for note in notes if note),
-    )
-    run = Run(options.method, reason, outcome.calls, 0.0, outcome.work, outcome.program)
+        notes += [_UNSETTLED] * (optimum.gap > options.tolerance)
+    answer = replace(optimum, note="; ".join(filter(None, notes)))
+    run = Run(options.method, reason, optimum.calls, 0.0, optimum.work, optimum.program)
     solution = assembled(problem, answer, run, sense)
     if not options.deterministic:
         return solution
     reason += "; then one policy by mixed-integer programs"
-    single = best_deterministic(solution, outcome, options.tolerance, options.deadline)
+    single = best_deterministic(solution, optimum, options.tolerance, options.deadline)
     return replace(single, run=replace(single.run, reason=reason, deterministic=True))
 
 
@@ -190,19 +187,8 @@ def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) ->
             if relative_gap(evaluation.objective, priced) <= RELATIVE_GAP:
                 bound = priced
                 break
-    proved = _proof_of_stated_optimum(sense, evaluation, bound, allowed)
+    proved = proved_objective(sense, evaluation.objective, bound, allowed)
     return replace(proved, least_failure_bound=safest.proved)
-
-
-def _proof_of_stated_optimum(
-    sense: ObjectiveSense, evaluation: Evaluation, bound: float, allowed: float, tail: float = 0.0
-) -> Proved:
-    """Return the proof for the stated objective, from a bound of the minimised value."""
-    objective = evaluation.objective
-    value = sense.worth(objective)  # ``constant - value`` is its own inverse
-    if sense.constant is not None and sense.settled_bound(value, bound) == value:
-        return Proved(objective, objective, allowed)
-    return Proved(objective, sense.worth(bound), allowed, tail=tail)
 
 
 def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
@@ -250,7 +236,7 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
         value = sense.worth(evaluation.objective)
         if not (is_kept and relative_gap(least.objective_bound, value) > CONTRADICTION):
             bound = max(bound, least.objective_bound)
-    return _proof_of_stated_optimum(sense, evaluation, bound, row.budget, tail)
+    return proved_objective(sense, evaluation.objective, bound, row.budget, tail=tail)
 
 
 def _bound_by_values(
@@ -304,46 +290,15 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
 
 _PATIENCE = 3
 
-_TRIAL_TOLERANCE = 1e-2
-"""Relative gap of a trial, whose price gives the next cap."""
-
 _LABEL_SPREAD = 0.25  # relative uncertainty of a price of case M as a guess in case S
 _LABEL_MARGIN = 1.5  # cap in case S, as a multiple of the price of case M
 
 _NEAR = 1e-9  # distance of a failure from the budget at which this may be the least failure
-_SPREAD = 1e-6  # relative uncertainty of the final price of a search or program
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedOutcome:
-    """Result of the last search, its compiled problem, and the work of all searches."""
-
-    generated: Generated
-    compiled: CompiledProblem
-    row: FailureRow
-    least: LeastFailure | None = None  # if it had to be computed
-    calls: int = 0
-    work: Work = field(default_factory=Work)
-    program: str = ""  # report of the last linear program
-
-    @property
-    def gap(self) -> float:
-        """Relative gap between the objective and its lower bound."""
-        return relative_gap(self.generated.objective, self.generated.lower_bound)
-
-    @property
-    def lottery(self) -> MixedPolicy:
-        """The lottery over policies of the model."""
-        return self.generated.lottery(self.compiled.pricing())
-
-    def followed_by(self, other: RefinedOutcome) -> RefinedOutcome:
-        """Return the later outcome, with the work of both."""
-        return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
 
 
 def refined_optimum(
     compiled: CompiledProblem, budget: float, options: SolveOptions, guess: DualGuess | None = None
-) -> RefinedOutcome:
+) -> Optimum[CompiledProblem]:
     """Run column generation on finer and finer compiled problems until the gap is met.
 
     Args:
@@ -367,39 +322,19 @@ def refined_optimum(
             least = checked_least_failure(compiled, budget)
         elif guess is None:
             compiled, guess = _capped_by_case_m(compiled, budget)
-        outcome = _attempt(compiled, row, least, options, guess)
+        first = _attempt(compiled, row, least, options, guess)
     if search.stop:
-        return _safest_outcome(compiled, row, least, search.stop)
-    best = refine(_finer_outcomes(outcome, options), options.tolerance)
+        return _safest_optimum(compiled, row, least, search.stop)
+    attempts = finer_optima(
+        first,
+        lambda finer, later, last: _attempt(finer, last.row, last.least, later, last.guess()),
+        options,
+        _PATIENCE,
+    )
+    best = refine(attempts, options.tolerance)
     if not is_late():
         return best
     return replace(best, generated=replace(best.generated, finished=best.gap <= options.tolerance))
-
-
-def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[RefinedOutcome]:
-    """Yield outcomes on finer problems, of least failure if the budget turns out to equal it."""
-    gaps: list[float] = []
-    while True:
-        yield outcome
-        gaps.append(outcome.gap)
-        generated, compiled, row = outcome.generated, outcome.compiled, outcome.row
-        later = options.after(outcome.calls)
-        if outcome.least is None and generated.columns[0].failure >= row.budget - _NEAR:
-            safest = checked_least_failure(compiled, row.budget)
-            outcome = replace(outcome, least=safest)
-            if row.leaves_only(safest.column):  # then its policy is the answer
-                row = row.equal_to(safest.column)
-                outcome = outcome.followed_by(_attempt(compiled, row, safest, later, None))
-                continue
-        is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
-        is_done = is_stagnant and compiled.tail_loss(generated.price) == 0.0
-        finer = None if is_done else compiled.refined(generated.price)
-        if finer is None:
-            yield outcome
-            return
-        spread = _TRIAL_TOLERANCE if compiled.is_trial else _SPREAD
-        guess = DualGuess(generated.price, spread, slack=len(generated.columns) == 1)
-        outcome = outcome.followed_by(_attempt(finer, row, outcome.least, later, guess))
 
 
 def _capped_by_case_m(
@@ -413,22 +348,21 @@ def _capped_by_case_m(
         return compiled, None
     ensure_incumbent()
     incumbent, semantics = prepared(), FailureSemantics(charge_failing_step=False)
-    outcome = None if incumbent is None else incumbent.outcome
-    if outcome is None:
+    optimum = None if incumbent is None else incumbent.optimum
+    if optimum is None:
         model, start, discount = compiled.model, compiled.start, compiled.discount
         label = CompiledExplicit(model, start, semantics, discount)
-        outcome = refined_optimum(label, budget, SolveOptions(_TRIAL_TOLERANCE))
-    price = max(outcome.generated.price, outcome.generated.given_success)
+        optimum = refined_optimum(label, budget, SolveOptions(TRIAL_TOLERANCE))
+    price = max(optimum.kappa, optimum.generated.given_success)
     if not np.isfinite(price):
         return compiled, None
-    return compiled.capped_at(_LABEL_MARGIN * price), DualGuess(
-        price, _LABEL_SPREAD, slack=len(outcome.generated.columns) == 1
-    )
+    guess = replace(optimum.guess(_LABEL_SPREAD), price=price)
+    return compiled.capped_at(_LABEL_MARGIN * price), guess
 
 
-def _safest_outcome(
+def _safest_optimum(
     compiled: CompiledProblem, row: FailureRow, least: LeastFailure | None, stop: BaseException
-) -> RefinedOutcome:
+) -> Optimum[CompiledProblem]:
     """Return the column of least failure after a stop without a column within the budget.
 
     Raises:
@@ -438,11 +372,9 @@ def _safest_outcome(
         raise Stop from stop
     with WithIncumbent(), closing():
         least = checked_least_failure(compiled, row.budget) if least is None else least
-        row = row.raised_to(least.column)
-        master = master_at(compiled.pricing(), row, least.column)
-        generated = generate(master, SolveOptions(_TRIAL_TOLERANCE))
-        generated = certified(master, replace(generated, finished=False), _TRIAL_TOLERANCE)
-        return RefinedOutcome(generated, compiled, row, least)
+        master = master_at(Pool(compiled.pricing()), row.raised_to(least.column), least.column)
+        generated = replace(generate(master, SolveOptions(TRIAL_TOLERANCE)), finished=False)
+        return _optimum(compiled, master, certified(master, generated, TRIAL_TOLERANCE), least)
     words = stop.told if isinstance(stop, Stop) else ""
     raise Stop(told=words or "no policy had been evaluated") from stop
 
@@ -453,13 +385,14 @@ def _attempt(
     least: LeastFailure | None,
     options: SolveOptions,
     guess: DualGuess | None,
-) -> RefinedOutcome:
+) -> Optimum[CompiledProblem]:
     """Run one search, started at the dual of the linear program if that is the method.
 
     If the budget equals the least failure, no program is solved, as its feasibility would depend
-    on rounding: the column of least failure is the answer, with its own bound.
+    on rounding: the column of least failure is the answer, with its own bound. The least failure
+    is computed if the safest column is so near the budget that they may be equal.
     """
-    optimum = None
+    program = None
     if options.program is not None and least is not None:
         row = row.raised_to(least.column)
         if row.spare(least.column) > (0.0 if row.is_rare else LEAST_BUDGET):
@@ -467,29 +400,44 @@ def _attempt(
             limits = {FAILURE_ROW: (process.failure, row.budget)}
             if row.is_rare:  # in units of the demanded goal, which is below solver tolerances
                 limits = {FAILURE_ROW: (-process.goal / row.demanded, -1.0)}
-            optimum = solve_program(process, limits, options, ratio=row.ratio)
-            kappa = optimum.prices.get(FAILURE_ROW, 0.0) + row.ratio * optimum.objective
-            guess = DualGuess(kappa, _SPREAD)
+            program = solve_program(process, limits, options, ratio=row.ratio)
+            kappa = program.prices.get(FAILURE_ROW, 0.0) + row.ratio * program.objective
+            guess = DualGuess(kappa, SPREAD)
     if guess is None and row.demanded <= 0.0 and not row.ratio:
-        guess = DualGuess(0.0, _SPREAD, slack=True)  # no limit, so the price is 0
+        guess = DualGuess(0.0, SPREAD, slack=True)  # no limit, so the price is 0
     master = None
     if least is None or row.spare(least.column) > 0.0:
         master = columns_by_pricing(compiled, row, guess, options)
     if master is None:
         least = checked_least_failure(compiled, row.budget) if least is None else least
         row = row.raised_to(least.column)
-        master = master_at(compiled.pricing(), row, least.column)
-    finer = _TRIAL_TOLERANCE if compiled.is_trial else options.tolerance
+        master = master_at(Pool(compiled.pricing()), row, least.column)
+    finer = TRIAL_TOLERANCE if compiled.is_trial else options.tolerance
     generated = generate(master, replace(options, tolerance=finer))
     generated = certified(master, generated, finer)
-    if optimum is not None and generated.finished:
-        check_agreement(optimum, generated.objective)
-    is_least = least is not None and least.is_proved
-    is_met = least is not None and row.spare(least.column) <= 0.0 < least.column.goal
-    if least is not None and is_least and is_met:
-        generated = replace(
-            generated, lower_bound=max(generated.lower_bound, least.objective_bound)
-        )
-    report = "" if optimum is None else optimum.report
-    pool = master.pool
-    return RefinedOutcome(generated, compiled, row, least, pool.calls, pool.work, report)
+    if program is not None and generated.finished:
+        check_agreement(program, generated.objective)
+    optimum = _optimum(compiled, master, generated, least, program)
+    is_near = least is None and generated.columns[0].failure >= row.budget - _NEAR
+    if not is_near or optimum.gap <= options.tolerance or is_late():
+        return optimum
+    least = checked_least_failure(compiled, row.budget)
+    if not row.leaves_only(least.column):
+        return replace(optimum, least=least)
+    equal, later = row.equal_to(least.column), options.after(optimum.calls)
+    return optimum.followed_by(_attempt(compiled, equal, least, later, None))
+
+
+def _optimum(
+    compiled: CompiledProblem,
+    master: Master,
+    generated: Generated,
+    least: LeastFailure | None,
+    program: ProgramOptimum | None = None,
+) -> Optimum[CompiledProblem]:
+    """Return the optimum of a certified search; one of least failure has its own bound, too."""
+    row, bound = master.failure_row, generated.lower_bound
+    if least is not None and least.is_proved and row.spare(least.column) <= 0.0 < least.column.goal:
+        bound = max(bound, least.objective_bound)
+    own = {"bound": bound, "price": max(generated.price - generated.ratio, 0.0), "least": least}
+    return Optimum.of(compiled, master, generated, program, **own)

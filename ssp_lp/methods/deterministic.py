@@ -37,7 +37,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import highspy
 import numpy as np
@@ -65,7 +65,7 @@ from ssp_lp.programs.occupation_program import rows_program
 from ssp_lp.solution import Answer, Solution
 
 if TYPE_CHECKING:
-    from ssp_lp.methods.columns import RefinedOutcome
+    from ssp_lp.methods.refinement import Optimum
 
 _OPEN = 1e-6  # relative gap above which the cost of determinism is reported as "at most"
 _DUAL = 1e-9  # relative tolerance of HiGHS's bound
@@ -73,16 +73,14 @@ _RATIOS = 30  # most steps of Dinkelbach's iteration, which takes a handful
 _SPREADS = (1e-6, 0.03, 0.1, 0.3, 1.0, 3.0)  # relative distances from the price, up and down
 _SKIPS = 8  # most states skipped between two policies
 _REFUSED = 100  # most policies that satisfy the budget only within HiGHS's tolerances
-_EXCLUDED = (
-    8  # most policies excluded as equal to the best within HiGHS's tolerances; each takes a search
-)
+_EXCLUDED = 8  # most policies excluded as equal to the best within HiGHS's tolerances
 _ROUNDING = 1e-13
 _SMALL = 1e-10  # relative
 """Feasibility tolerance of the budget, as failure may be summed in another order."""
 
 
 def best_deterministic(
-    mixed: Solution, outcome: RefinedOutcome, tolerance: float, deadline: float
+    mixed: Solution, outcome: Optimum[Any], tolerance: float, deadline: float
 ) -> Solution:
     """Solve for the best deterministic policy, given the best lottery.
 
@@ -103,7 +101,7 @@ def best_deterministic(
     inside = [column for column in generated.columns if column.failure <= most]
     column = min(inside, key=lambda c: row.objective(c.cost, c.goal))
     value, policy = row.objective(column.cost, column.goal), outcome.compiled.pricing().policy
-    incumbent = Answer(policy(column), value, generated.lower_bound, column.failure)
+    incumbent = Answer(policy(column), value, outcome.bound, column.failure)
     search = _PolicySearch(outcome, most, incumbent, tolerance, deadline)
     finished = len(generated.columns) == 1 and generated.finished
     if len(generated.columns) > 1 and not is_late():
@@ -140,7 +138,7 @@ def best_deterministic(
 class _PolicySearch:
     """A search for the best deterministic policy. Mutable: ``best`` improves."""
 
-    outcome: RefinedOutcome  # outcome of the search for the best lottery
+    outcome: Optimum[Any]  # outcome of the search for the best lottery
     most: float  # the budget plus a tolerance for rounding
     best: Answer  # the incumbent; its bound holds for every policy
     tolerance: float  # relative
@@ -150,11 +148,11 @@ class _PolicySearch:
     @cached_property
     def relaxation(self) -> _DeterministicRelaxation:
         """The process written out, with its relaxation."""
-        return deterministic_relaxation(self.outcome.compiled, self.outcome.generated.price)
+        return deterministic_relaxation(self.outcome.compiled, self.outcome.kappa)
 
     def run(self) -> bool:
         """Search by walks and integer programs; return whether the search was finished."""
-        relaxation, bound = self.relaxation, self.outcome.generated.lower_bound
+        relaxation, bound = self.relaxation, self.outcome.bound
         self._walk_between_members()
         if relative_gap(self.best.value, bound) <= self.tolerance:
             return True
@@ -186,7 +184,7 @@ class _PolicySearch:
         among these, the one of largest failure within the budget is cheapest. Policies of prices
         farther away differ in more states.
         """
-        compiled, price = self.relaxation.compiled, self.outcome.generated.price
+        compiled, price = self.relaxation.compiled, self.outcome.kappa
         for spread in _SPREADS:
             if is_late():
                 return

@@ -51,7 +51,7 @@ from ssp_lp.column_generation.compiled_problem import (
     CompiledProblem,
     checked_least_failure,
 )
-from ssp_lp.column_generation.search import generate, master_at
+from ssp_lp.column_generation.search import Pool, generate, master_at
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, interrupted, is_late, until
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import (
@@ -157,7 +157,7 @@ def trace_frontier(
     """
     check_problem(problem, "trace_frontier")
     deadline = deadline_of(time_limit, time.perf_counter())
-    limits = TraceLimits(gap, steepest_price, point_limit, deadline < np.inf, progress)
+    limits = _TraceLimits(gap, steepest_price, point_limit, deadline < np.inf, progress)
     asked = _traceable(problem.unrolled, over, limits)
     with progress_shown(verbose), until(deadline) as ended:
         try:
@@ -175,7 +175,7 @@ def trace_frontier(
     return replace(frontier, problem=problem, status=status)
 
 
-def _traceable(problem: Problem, over: str, limits: TraceLimits) -> Problem:
+def _traceable(problem: Problem, over: str, limits: _TraceLimits) -> Problem:
     """Return the problem, checked that its frontier over the limit can be traced.
 
     Raises:
@@ -449,7 +449,7 @@ class Frontier(Report):
 
 
 @dataclass(frozen=True)
-class TraceLimits:
+class _TraceLimits:
     """Limits and options of a trace."""
 
     gap: float
@@ -614,28 +614,27 @@ def _split(search: _Columns | _Optima, *, steep_only: bool = False) -> None:
 class _Columns:
     """Columns of a process, each optimal at the slope of a segment. Mutable."""
 
-    def __init__(self, compiled: CompiledProblem, limits: TraceLimits) -> None:
+    def __init__(self, compiled: CompiledProblem, limits: _TraceLimits) -> None:
         """Find the columns at both ends.
 
         Raises:
             ModelError: failing is optimal at the steepest price.
         """
         self.limits, self.worst_first = limits, limits.may_stop
-        self.pricing, self.ratio = compiled.pricing(), compiled.ratio
-        row, steepest, self.calls = FailureRow(1.0, self.ratio), limits.steepest_price, 0
+        self.pool, self.ratio = Pool(compiled.pricing()), compiled.ratio
+        row, steepest = FailureRow(1.0, self.ratio), limits.steepest_price
         if steepest is None:
             safest = checked_least_failure(compiled, None).column
         else:
-            safest, self.calls = self.pricing.minimise(steepest, self.pricing.first()), 1
+            weights = np.array([1.0, steepest])
+            safest = self.pool.priced(weights, self.pool.pricing.first())
             if row.ratio and row.objective(safest.cost, safest.goal) >= steepest:
                 raise ModelError(
                     f"failing is optimal at a price of failure of {steepest:g}: "
                     "set steepest_price above the least cost given success"
                 )
-        master = master_at(self.pricing, row, safest, calls=self.calls, work=safest.work)
-        free = generate(master, SolveOptions(limits.gap))
+        free = generate(master_at(self.pool, row, safest), SolveOptions(limits.gap))
         last = free.columns[-1]
-        self.calls, self.work = master.pool.calls, master.pool.work
         self.ends_early = not free.finished
         self.ends = [safest] if last.failure <= safest.failure else [safest, last]
         self._priced: dict[float, Column] = {}  # columns by price
@@ -657,10 +656,10 @@ class _Columns:
         column = self._priced.get(price)
         if price > 0.0 and below > gap and column is None:
             with WithIncumbent():
-                column = replace(self.pricing.minimise(price, q), found_at=price)
-                self.calls, self.work = self.calls + 1, self.work + column.work
-                _LOG.debug("%d pricing calls, %d turning points", self.calls, len(self._columns))
-                self.limits.report(self.calls, len(self._columns))
+                column = replace(self.pool.priced(np.array([1.0, price]), q), found_at=price)
+                calls, points = self.pool.calls, len(self._columns)
+                _LOG.debug("%d pricing calls, %d turning points", calls, points)
+                self.limits.report(calls, points)
         if price == 0.0 or column is not None:
             below = _share_below(p, q, column, price)
         self._below[p.failure] = below
@@ -687,7 +686,8 @@ class _Columns:
             below=np.array([self._below[column.failure] for column in columns[:-1]]),
             tolerance=self.limits.gap, hidden=0.0, ratio=self.ratio,
             complete=self.limits.steepest_price is None, ends_early=self.ends_early,
-            pricing_calls=self.calls, work=self.work, _points=_ColumnPoints(self.pricing, light),
+            pricing_calls=self.pool.calls, work=self.pool.work,
+            _points=_ColumnPoints(self.pool.pricing, light),
         )  # fmt: skip
 
 
@@ -699,7 +699,7 @@ def _share_below(p: Column, q: Column, column: Column | None, price: float) -> f
     return max(below, 0.0) / max(p.cost, _LEAST)
 
 
-def _traced_by_columns(problem: Problem, limits: TraceLimits) -> Frontier:
+def _traced_by_columns(problem: Problem, limits: _TraceLimits) -> Frontier:
     """Trace over failure alone, on finer processes while the cap on the cost loses too much.
 
     The cap loses most where the price is steepest. A few pricing calls at that end first find out
@@ -736,7 +736,8 @@ def _traced_by_columns(problem: Problem, limits: TraceLimits) -> Frontier:
                 raise Stop from search.stop
             return frontier
         traced, attempts = columns.frontier(), attempts - 1
-        lost, spent = _share_lost(compiled, traced), (calls + columns.calls, work + columns.work)
+        lost = _share_lost(compiled, traced)
+        spent = calls + traced.pricing_calls, work + traced.work
         frontier = replace(traced, hidden=lost, pricing_calls=spent[0], work=spent[1])
         is_fine = lost <= limits.gap or is_late()
         finer = None if is_fine else compiled.refined(float(traced.price[0]))
@@ -775,7 +776,7 @@ class _Optima:
 
     worst_first = True
 
-    def __init__(self, problem: Problem, over: str, limits: TraceLimits) -> None:
+    def __init__(self, problem: Problem, over: str, limits: _TraceLimits) -> None:
         """Compile the problem, without solving it."""
         self.problem, self.over, self.limits = problem, over, limits
         self.calls, self.work, self.optima = 0, Work(), list[_Optimum]()

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import hypot, sqrt
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,8 +27,8 @@ from ssp_lp.column_generation.compiled_problem import (
 )
 from ssp_lp.compiled.deadline import WithIncumbent
 from ssp_lp.errors import SSPError
-from ssp_lp.methods.columns import RefinedOutcome, refined_optimum
-from ssp_lp.methods.refinement import Proved
+from ssp_lp.methods.columns import refined_optimum
+from ssp_lp.methods.refinement import Optimum, Proved
 from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
@@ -57,7 +58,7 @@ class Incumbent:
     stated: Problem
     deterministic: bool = False  # the policy must be deterministic
     policies: dict[bool, MixedPolicy | None] = field(default_factory=dict, init=False)
-    outcome: RefinedOutcome | None = field(default=None, init=False)  # of case M
+    optimum: Optimum[Any] | None = field(default=None, init=False)  # of case M
     solution: Solution | None = field(default=None, init=False)
 
     def find(self) -> Incumbent | None:
@@ -126,8 +127,8 @@ class Incumbent:
             return as_lottery(checked_least_failure(compiled, problem.failure_budget).policy)
         if budget >= 1.0:
             return None
-        self.outcome = refined_optimum(compiled, budget, _ROUGH)
-        return self.outcome.lottery
+        self.optimum = refined_optimum(compiled, budget, _ROUGH)
+        return self.optimum.policy
 
 
 def _incumbent_value(

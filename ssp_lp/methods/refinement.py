@@ -1,18 +1,29 @@
 """Refinement: solve on finer and finer processes until the gap meets the tolerance.
 
 A process that truncates, rounds or compares too coarsely leaves a gap. Each method yields its
-attempts on finer processes; :func:`refine` decides when to stop.
+attempts on finer processes, column generation by :func:`finer_optima`; :func:`refine` decides when
+to stop.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Protocol, TypeVar
 
-from ssp_lp.column_generation.column import two_sided_gap
+import numpy as np
+
+from ssp_lp.column_generation.column import FailureRow, two_sided_gap
+from ssp_lp.column_generation.compiled_problem import CompiledProblem, LeastFailure
+from ssp_lp.column_generation.search import DualGuess, Generated, Master
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, is_late
-from ssp_lp.errors import ModelError
+from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.errors import ModelError, SolverError
+from ssp_lp.methods.full_program import ProgramOptimum
+from ssp_lp.options import SolveOptions
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.processes.failure_semantics import ObjectiveSense
+from ssp_lp.solution import Answer
 
 
 @dataclass(frozen=True)
@@ -30,6 +41,151 @@ class Proved:
     def gap(self) -> float:
         """Relative gap between the value and the bound."""
         return two_sided_gap(self.attained, self.bound)
+
+
+def proved_objective(
+    sense: ObjectiveSense,
+    objective: float,
+    bound: float,
+    allowed: float,
+    *,
+    paid: float = 0.0,
+    tail: float = 0.0,
+) -> Proved:
+    """Return the proof for the stated objective, from a bound of the minimised value.
+
+    Args:
+        sense: relation between the two.
+        objective: stated objective of a policy.
+        bound: lower bound of the minimised value.
+        allowed: largest failure of the policies that the bound is about.
+        paid: sum of price times bound of the rows, which a dual bound subtracts.
+        tail: part of the relative gap that is due to the cap on accumulated cost.
+    """
+    constant = sense.constant
+    value = objective + sense.offset if constant is None else constant - objective
+    bound = sense.settled_bound(value, bound, paid)
+    return Proved(
+        objective, objective if bound == value else sense.worth(bound), allowed, tail=tail
+    )
+
+
+TRIAL_TOLERANCE = 1e-2  # relative gap of a trial, whose price gives the next cap
+SPREAD = 1e-6  # relative uncertainty of the final price of a search or program
+
+_Compiled = TypeVar("_Compiled", bound=CompiledProblem)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Optimum(Answer, Generic[_Compiled]):
+    """The best lottery that column generation found, with its proof and the work done."""
+
+    policy: MixedPolicy
+    compiled: _Compiled
+    generated: Generated  # the lottery over columns of the process
+    search: Master  # the final restricted master
+    calls: int  # pricing calls of all searches
+    work: Work  # of all searches
+    least: LeastFailure | None = None  # if it had to be computed
+    program: str = ""  # report of the last linear program
+
+    @classmethod
+    def of(
+        cls,
+        compiled: _Compiled,
+        search: Master,
+        generated: Generated,
+        program: ProgramOptimum | None,
+        **own: Any,
+    ) -> Optimum[_Compiled]:
+        """Return the optimum of a search.
+
+        Args:
+            compiled: the compiled problem.
+            search: the final restricted master.
+            generated: the result of the search.
+            program: optimum of the full linear program, if it was solved.
+            own: fields that differ from the search's result.
+        """
+        policy = own.pop("policy", None) or generated.lottery(search.pool.pricing)
+        found: dict[str, Any] = {
+            "value": generated.objective,
+            "bound": generated.lower_bound,
+            "failure": generated.failure,
+            "values": generated.values,
+            "calls": search.pool.calls,
+            "work": search.pool.work,
+            "program": "" if program is None else program.report,
+        }
+        found |= own
+        return cls(policy=policy, compiled=compiled, generated=generated, search=search, **found)
+
+    @property
+    def kappa(self) -> float:
+        """Price of failure: the dual of the failure row, in case S plus the ratio."""
+        return (self.value if self.compiled.ratio else 0.0) + (self.price or 0.0)
+
+    @property
+    def row(self) -> FailureRow:
+        """The failure row, if it is the only limit."""
+        return self.search.failure_row
+
+    @property
+    def gap(self) -> float:
+        """Relative gap of the objective that the user asked for; infinite if none is attained."""
+        worth = self.compiled.sense.worth
+        is_attained = np.isfinite(self.value)
+        return two_sided_gap(worth(self.value), worth(self.bound)) if is_attained else np.inf
+
+    def guess(self, spread: float | None = None) -> DualGuess:
+        """Return the price of failure as a first price on a similar problem.
+
+        Args:
+            spread: relative uncertainty; None: on the next finer process.
+        """
+        if spread is None:
+            spread = TRIAL_TOLERANCE if self.compiled.is_trial else SPREAD
+        return DualGuess(self.kappa, spread, slack=len(self.generated.columns) == 1)
+
+    def followed_by(self, other: Optimum[_Compiled]) -> Optimum[_Compiled]:
+        """Return the later optimum, with the work of both."""
+        return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
+
+
+def finer_optima(
+    optimum: Optimum[_Compiled],
+    attempt: Callable[[_Compiled, SolveOptions, Optimum[_Compiled]], Optimum[_Compiled]],
+    options: SolveOptions,
+    patience: int,
+) -> Iterator[Optimum[_Compiled]]:
+    """Yield an optimum and those of finer and finer compiled problems, with the work of all.
+
+    Args:
+        optimum: of the first problem. Without a value function its bound is not proved: it only
+            gives the price.
+        attempt: solves a finer problem, given the optimum of the problem before.
+        options: progress callback and limits.
+        patience: number of refinements in which the gap must at least halve, unless truncation
+            still loses something.
+    """
+    gaps = list[float]()
+    while True:
+        if optimum.values is not None:
+            gaps.append(optimum.gap)
+            yield optimum
+        is_stuck = len(gaps) > patience and gaps[-1] > 0.5 * gaps[-1 - patience]
+        if is_stuck and optimum.compiled.tail_loss(optimum.kappa) == 0.0:
+            return
+        finer = optimum.compiled.refined(optimum.kappa)
+        if finer is None:
+            return
+        try:
+            new = attempt(finer, options.after(optimum.calls), optimum)
+        except SolverError:
+            if gaps and is_late():
+                return
+            raise
+        optimum = optimum.followed_by(new)
 
 
 class _WithGap(Protocol):

@@ -40,15 +40,15 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from heapq import heappop, heappush, heapreplace
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import CostQuantileOf, ExcessCharge, LateCharge, TailMeanOf
 from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
-from ssp_lp.analysis.evaluation import Evaluation, complement, evaluate, success_costs
-from ssp_lp.arrays import QUANTILE, FloatArray
+from ssp_lp.analysis.evaluation import Evaluation, complement, success_costs
+from ssp_lp.arrays import QUANTILE
 from ssp_lp.column_generation.column import FailureRow, Proof, required
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
@@ -60,18 +60,17 @@ from ssp_lp.compiled.deadline import Stop, WithIncumbent, is_late
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.incumbent import worth_bound
-from ssp_lp.methods.refinement import Proved
+from ssp_lp.methods.refinement import Optimum, Proved
 from ssp_lp.methods.rows import (
     bound_at,
     least_goal_within,
     limited_rows,
-    row_activities,
     rows_optimum,
+    true_figures,
 )
 from ssp_lp.model import SSP
 from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, compiled_constrained, compiled_totals
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
@@ -206,6 +205,12 @@ class _Trial:
     calls: int
     prices: Mapping[str, float] = field(default_factory=dict)  # of constraints, by name
 
+    @staticmethod
+    def of(optimum: Optimum[Any]) -> _Trial:
+        """Return the trial of an optimum."""
+        proved = optimum.value, optimum.bound, optimum.policy
+        return _Trial(*proved, optimum.kappa, optimum.calls, optimum.prices)
+
 
 Near = tuple[float, float]
 """A start of a search, from coarser costs: the quantile of a good policy, and the price of failure
@@ -274,9 +279,7 @@ class _WithinBudget(_Question):
             value = column.cost / column.goal
             return _Trial(value, min(self.share(pricing.prove(0.0)), value), policy, 0.0, 2)
         guess = DualGuess(kappa, _NEARBY) if kappa > 0.0 else None
-        outcome = refined_optimum(compiled, self.budget, options, guess)
-        value, bound = outcome.generated.objective, outcome.generated.lower_bound
-        return _Trial(value, bound, outcome.lottery, outcome.generated.price, outcome.calls)
+        return _Trial.of(refined_optimum(compiled, self.budget, options, guess))
 
     def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
         """Return the lower bound of one sweep."""
@@ -330,17 +333,8 @@ class _WithinRows(_Question):
             law = success_costs(policy, self.problem)
             return _expected_charge(charge, law) / law.goal
 
-        def figures(policy: Policy) -> FloatArray:
-            """Return charge, failure and rows of one policy, [rewards]."""
-            law, evaluation = success_costs(policy, self.problem), evaluate(policy, self.problem)
-            spent = row_activities(self.compiled, evaluation)
-            return np.array([_expected_charge(charge, law), evaluation.failure_probability, *spent])
-
-        optimum = rows_optimum(self.compiled.charging(charge), options, (value, figures))
-        failing = optimum.prices.get(FAILURE_ROW, 0.0) + optimum.value
-        return _Trial(
-            optimum.value, optimum.bound, optimum.policy, failing, optimum.calls, optimum.prices
-        )
+        truth = true_figures(self.problem, self.compiled, value)
+        return _Trial.of(rows_optimum(self.compiled.charging(charge), options, truth))
 
     def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
         """Return the lower bound at the prices of another charge's optimum."""
@@ -522,9 +516,6 @@ def _late_share(level: float) -> float:
 
 
 _TIED = 1e-12  # relative difference of values that is rounding
-_PRICES = 8  # most prices of failure tried at a threshold before it is searched
-_FACTOR = 1.5  # ratio of the first two prices
-_NEAR = 0.02  # relative distance of prices at which this ends
 
 
 @dataclass(eq=False)
@@ -561,35 +552,15 @@ class _TailMeanSearch:
         return best
 
     def refuted(self, first: int, last: int) -> float:
-        """Return a lower bound of F on all thresholds between two, by one sweep.
-
-        For a single threshold the price of failure is improved; the bound is concave in it.
-        """
+        """Return a lower bound of F on all thresholds between two, by one sweep."""
         places, middle = self.question.thresholds, (first + last) // 2
         charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
         nearest = min(self.tried, key=lambda number: abs(number - middle))
-        prices, kappa = self.tried[nearest].prices, self._kappa(middle)
-
-        def swept(kappa: float) -> float:
-            """Return the bound at a guess of the price of failure."""
-            self.sweeps += 1
-            guess = _Guess(max(kappa, self.target), prices, kappa <= self.target)
-            return self.question.refuted_below(charge, guess)
-
-        bound = swept(kappa)
-        if first < last or self.question.budget is None or kappa <= 0.0:
-            return bound
-        factor = _FACTOR if bound > 0.0 else 1.0 / _FACTOR
-        for _ in range(_PRICES):
-            if bound >= self.target or abs(factor - 1.0) < _NEAR:
-                break
-            other = swept(kappa * factor)
-            if other > bound:
-                bound, kappa = other, kappa * factor
-            else:
-                factor = factor**-0.5
-        self.kappas[middle] = kappa
-        return bound
+        kappa = self._kappa(middle)
+        self.sweeps += 1
+        slack = kappa <= self.target
+        guess = _Guess(max(kappa, self.target), self.tried[nearest].prices, slack)
+        return self.question.refuted_below(charge, guess)
 
     @property
     def target(self) -> float:

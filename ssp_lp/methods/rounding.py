@@ -30,7 +30,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -47,23 +47,20 @@ from ssp_lp.arrays import SAME_TOTAL, offsets_of, read_only
 from ssp_lp.column_generation.column import (
     Column,
     FailureRow,
-    excess_failure,
     relative_gap,
     two_sided_gap,
 )
 from ssp_lp.column_generation.compiled_problem import CompiledAccumulatedCost
-from ssp_lp.column_generation.search import DualGuess
+from ssp_lp.column_generation.search import DualGuess, Rows, lottery_within
 from ssp_lp.compiled.deadline import WithIncumbent, closing, ensure_incumbent, is_late
-from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.methods.columns import (
-    RefinedOutcome,
     best_within_budget,
     cheapest_at_least_failure,
     refined_optimum,
 )
-from ssp_lp.methods.incumbent import Incumbent
-from ssp_lp.methods.refinement import Proved, refine
+from ssp_lp.methods.incumbent import Incumbent, worth_bound
+from ssp_lp.methods.refinement import Optimum, Proved, refine
 from ssp_lp.methods.risk import Near, least_risk, question_of_compiled
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, goal_approach, kept
@@ -111,19 +108,15 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
 
 def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
     """Yield the best lottery of the true model and the best bound after each unit."""
-    incumbent, best, bound, calls, work = Incumbent(problem), None, 0.0, 0, Work()
+    incumbent, best, outcome, bound = Incumbent(problem), None, None, 0.0
     ensure_incumbent(by_itself=incumbent.find() is not None)
     if (solution := incumbent.solution) is not None:
         best = Answer(solution.policy, solution.objective, 0.0, solution.budget_used)
         bound = solution.lower_bound
         yield replace(solution, note="")
-    most, cheapest = _levels_asked(problem), float(step_costs(problem.model)[1][1])
-    units, guess, reach = (
-        list(_split_units(problem)),
-        None,
-        _MARGIN * _REACH * _span_of_steps(problem),
-    )
-    finest = units[-1]
+    most, cheapest = problem.cost_levels, float(step_costs(problem.model)[1][1])
+    units, guess = list(_split_units(problem)), None
+    finest, reach = float(units[-1]), _MARGIN * _REACH * _span_of_steps(problem)
     while units:
         unit = units.pop(0)
         for_price = best is not None and unit != finest and float(unit) > 2.0 * cheapest
@@ -131,13 +124,15 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
         if best is not None:
             value, gap = best.value, relative_gap(best.value, bound)
         rough = min(_SHARE * gap, max(_ROUGH, _ENOUGH * options.tolerance))
-        finer = replace(options.after(calls), tolerance=_ROUGH_FIRST if for_price else rough)
-        outcome = split_optimum(problem, unit, finer, guess, most, reach)
-        generated, layers = outcome.generated, outcome.compiled.layers
-        bound, calls = max(bound, generated.lower_bound), calls + outcome.calls
-        work, price, total = work + outcome.work, generated.price, layers * float(_unit_of(outcome))
+        finer = replace(options, tolerance=_ROUGH_FIRST if for_price else rough)
+        calls = 0 if outcome is None else outcome.calls
+        new = split_optimum(problem, unit, finer.after(calls), guess, most, reach)
+        outcome = new if outcome is None else outcome.followed_by(new)
+        bound = max(bound, outcome.bound)
+        outcome = replace(outcome, bound=bound)
+        own, price = float(_unit_of(outcome)), outcome.kappa
+        total, guess = outcome.compiled.layers * own, outcome.guess(_SPREAD)
         reach = total if total > _FAR_BEYOND * price else _MARGIN * price
-        guess = DualGuess(price, _SPREAD, slack=len(generated.columns) == 1)
         if not for_price:  # a coarse unit only gives the price
             with WithIncumbent() as measuring, closing():
                 lottery = _true_lottery(problem, outcome)
@@ -146,19 +141,42 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
                 raise measuring.stop
         if best is None:
             continue
-        levels = f"{layers:,} levels up to {layers * float(_unit_of(outcome)):.6g}"
         more = "set more levels for a smaller gap" if most else "no room for more levels"
-        note = f"totals are rounded to {levels}: {more}" if generated.finished else CUT_SHORT
+        note = f"totals are rounded to {outcome.compiled.layers:,} levels up to {total:.6g}: {more}"
         gap = relative_gap(best.value, bound)
         if units and most is None and gap > options.tolerance and not for_price:
             # the gap falls with the square of the unit
-            enough = float(_unit_of(outcome)) * np.sqrt(_MET * options.tolerance / gap)
-            if _BELOW_FINEST * float(finest) <= enough < float(unit):
+            enough = own * np.sqrt(_MET * options.tolerance / gap)
+            if _BELOW_FINEST * finest <= enough < float(unit):
                 sufficient = short_decimal(enough)
                 units = [sufficient, *(u for u in units if u < sufficient)]
-        reason = f"costs split between {layers:,} layers, {calls} pricing calls"
-        answer = replace(best, bound=bound, price=max(price - best.value, 0.0), note=note)
-        yield assembled(problem, answer, Run(options.method, reason, calls, 0.0, work))
+        yield _split_solution(problem, options, outcome, best, note)
+
+
+def _split_run(options: SolveOptions, outcome: Optimum[Any]) -> Run:
+    """Return the run of searches on split costs."""
+    reason = (
+        f"costs split between {outcome.compiled.layers:,} layers, {outcome.calls} pricing calls"
+    )
+    return Run(options.method, reason, outcome.calls, 0.0, outcome.work)
+
+
+def _split_solution(
+    problem: Problem, options: SolveOptions, outcome: Optimum[Any], lottery: Answer, note: str
+) -> Solution:
+    """Return the solution of a lottery on the true model, with the bound of split costs.
+
+    Args:
+        problem: the problem.
+        options: method.
+        outcome: of the search on split costs.
+        lottery: the lottery, evaluated on the true model.
+        note: note on a search that was not cut short.
+    """
+    price = max(outcome.kappa - lottery.value, 0.0)
+    note = note if outcome.generated.finished else CUT_SHORT
+    answer = replace(lottery, bound=outcome.bound, price=price, note=note)
+    return assembled(problem, answer, _split_run(options, outcome))
 
 
 def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
@@ -184,21 +202,15 @@ def _lattice_attempts(
     """Yield the best lottery of costs split on a coarser unit, then the optimum."""
     closely = replace(options, tolerance=max(_ROUGH_COARSE, options.tolerance))
     outcome = split_optimum(problem, unit, options if is_of_most else closely, None)
-    generated, calls, work = outcome.generated, outcome.calls, outcome.work
-    reason = f"costs split between {outcome.compiled.layers:,} layers, {calls} pricing calls"
     lottery: Answer | None = None
     with WithIncumbent(), closing():
         lottery = _true_lottery(problem, outcome)
     if lottery is not None:
-        price = max(generated.price - lottery.value, 0.0)
-        note = "" if generated.finished else CUT_SHORT
-        answer = replace(lottery, bound=generated.lower_bound, price=price, note=note)
-        yield assembled(problem, answer, Run(options.method, reason, calls, 0.0, work))
-    guess = DualGuess(generated.price, _SPREAD, slack=len(generated.columns) == 1)
-    optimum = best_within_budget(problem, options.after(calls), guess)
-    run = optimum.run
-    reason, calls = f"{reason}, then {run.reason}", calls + run.pricing_calls
-    run = replace(run, reason=reason, pricing_calls=calls, work=work + run.work)
+        yield _split_solution(problem, options, outcome, lottery, "")
+    optimum = best_within_budget(problem, options.after(outcome.calls), outcome.guess(_SPREAD))
+    first, run = _split_run(options, outcome), optimum.run
+    reason, calls = f"{first.reason}, then {run.reason}", outcome.calls + run.pricing_calls
+    run = replace(run, reason=reason, pricing_calls=calls, work=outcome.work + run.work)
     yield replace(optimum, run=run)
 
 
@@ -227,31 +239,34 @@ def _split_proofs(
     guess, bound, allowed, before = None, 0.0, problem.failure_budget or 0.0, -np.inf
     for unit in _split_units(problem, finest=True):
         outcome = split_optimum(problem, unit, rough, guess)
-        guess = DualGuess(outcome.generated.price, _SPREAD)
-        bound, allowed = max(bound, outcome.generated.lower_bound), max(allowed, outcome.row.budget)
+        guess = outcome.guess(_SPREAD)
+        bound, allowed = max(bound, outcome.bound), max(allowed, outcome.row.budget)
         yield Proved(attained, bound, allowed)
         if bound - before < _SHARE * ((1.0 - enough) * attained - bound):
             return
         before = bound
 
 
-def _true_lottery(problem: Problem, outcome: RefinedOutcome) -> Answer:
+def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
     """Return the best lottery of one unit's policies, evaluated on the true model."""
-    row, least, columns, members = outcome.row, outcome.least, list[Column](), None
+    row, least, columns, found = outcome.row, outcome.least, list[Column](), None
+    pricing = outcome.compiled.pricing()
+    pricing = pricing.counting_success() if row.by_goal else pricing
+    rows = Rows.of_failure(row, pricing)
     if least is None or row.budget > least.column.failure:
         columns = _true_columns(problem, outcome)
-        members = _best_lottery(columns, row)
-    if members is None:  # the policy of least failure is feasible if any is
+        found = lottery_within(pricing, columns, rows, ratio=True)
+    if found is None:  # the policy of least failure is feasible if any is
         least = least or outcome.compiled.least_failure()
-        columns.append(_true_column(problem, outcome, least.policy))
-        members = _best_lottery(columns, row) or [(columns[-1], 1.0)]
-    weights = np.array([weight for _, weight in members])
-    cost, failure, goal = weights @ [(c.cost, c.failure, c.goal) for c, _ in members]
-    lottery = MixedPolicy(tuple(c.policy for c, _ in members if c.policy), weights)
-    return Answer(lottery, row.objective(float(cost), float(goal)), 0.0, float(failure))
+        safest = _true_column(problem, outcome, least.policy)
+        rows = Rows.of_failure(row.raised_to(safest), pricing)
+        found = lottery_within(pricing, [*columns, safest], rows, ratio=True)
+    if found is None:
+        raise SolverError("the policy of least failure never reaches the goal on the true model")
+    return Answer(found.lottery(pricing), found.objective, 0.0, found.failure)
 
 
-def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
+def _true_columns(problem: Problem, outcome: Optimum[Any]) -> list[Column]:
     """Evaluate, on the true model, the policies that were found with split costs.
 
     The columns returned lie on both sides of the budget. A policy that satisfies the budget with
@@ -273,7 +288,7 @@ def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
             within = [_keeps_to_budget(column, row) for column in columns]
             if is_late() or (any(within) and (one_sided or not all(within))):
                 break
-            price = generated.price / factor if any(within) else generated.price * factor
+            price = outcome.kappa / factor if any(within) else outcome.kappa * factor
             last = pricing.minimise(price, last)
             columns.append(_true_column(problem, outcome, pricing.policy(last)))
     if search.stop and not any(_keeps_to_budget(column, row) for column in columns):
@@ -281,13 +296,13 @@ def _true_columns(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
     return columns
 
 
-def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> Column:
+def _true_column(problem: Problem, outcome: Optimum[Any], policy: Policy) -> Column:
     """Evaluate a policy of split costs on the true model, where it remembers the nearest level.
 
     If a step is less than a unit, levels are fractions of a unit: otherwise it would round to 0.
     """
     if isinstance(policy, CostAwarePolicy):
-        unit, most = _unit_of(outcome), _levels_asked(problem)
+        unit, most = _unit_of(outcome), problem.cost_levels
         room = _CELLS // max(problem.model.n_states, 1) if most is None else most
         # enough parts that the cheapest step is at least one of them
         parts = int(np.ceil(float(unit) / float(step_costs(problem.model)[1][1])))
@@ -314,7 +329,7 @@ def _true_column(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> C
     return Column(cost, failure, goal, None, policy=policy)
 
 
-def _columns_beside(problem: Problem, outcome: RefinedOutcome, shift: float) -> list[Column]:
+def _columns_beside(problem: Problem, outcome: Optimum[Any], shift: float) -> list[Column]:
     """Return policies that the sweep of split costs found next to the budget, on both sides.
 
     They are evaluated on the true model. Rounding shifts their failure by about the same amount.
@@ -343,28 +358,6 @@ def _columns_beside(problem: Problem, outcome: RefinedOutcome, shift: float) -> 
 def _keeps_to_budget(column: Column, row: FailureRow) -> bool:
     """Return whether an evaluated policy satisfies the budget, up to rounding."""
     return row.spare(column) >= -_ROUNDING * min(row.budget, 1.0 - row.budget)
-
-
-def _best_lottery(columns: list[Column], row: FailureRow) -> list[tuple[Column, float]] | None:
-    """Return the members and weights of the lottery of least ratio; None: all are infeasible.
-
-    A ratio is least at a vertex: one policy within the budget, or two on both sides of it.
-    """
-    best, members = np.inf, None
-    for inside in columns:
-        if not _keeps_to_budget(inside, row) or inside.goal <= 0.0:
-            continue
-        if (value := row.objective(inside.cost, inside.goal)) < best:
-            best, members = value, [(inside, 1.0)]
-        for outside in columns:
-            if row.spare(outside) >= 0.0 or row.spare(inside) <= 0.0:
-                continue
-            weight = row.spare(inside) / excess_failure(outside, inside)
-            cost = (1.0 - weight) * inside.cost + weight * outside.cost
-            value = row.objective(cost, (1.0 - weight) * inside.goal + weight * outside.goal)
-            if value < best:
-                best, members = value, [(inside, 1.0 - weight), (outside, weight)]
-    return members
 
 
 _WIDEST = 1_000.0  # largest ratio of two step costs for split costs
@@ -443,7 +436,7 @@ def is_split(problem: Problem, seconds: float = np.inf) -> bool:
     steps = step_costs(problem.model)[1]
     if len(steps) <= 1 or steps[-1] > _WIDEST * steps[1]:
         return False
-    most = (_levels_asked(problem) or _FEW_SUMS) if on_grid else MOST_SUMS
+    most = (problem.cost_levels or _FEW_SUMS) if on_grid else MOST_SUMS
     sums = sums_in(problem.model, _span_of_steps(problem), most)
     if on_grid:
         return sums is None
@@ -482,11 +475,6 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
     )
 
 
-def _levels_asked(problem: Problem) -> int | None:
-    """Return the user's number of levels; None: as many as fit into memory."""
-    return problem.cost_levels
-
-
 def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
     """Yield finer and finer units of split costs.
 
@@ -514,7 +502,7 @@ def split_optimum(
     guess: DualGuess | None,
     most: int | None = None,
     reach: float = np.inf,
-) -> RefinedOutcome:
+) -> Optimum[Any]:
     """Return the optimum with split costs, of a larger unit if there are too many levels.
 
     If no larger unit makes them few enough, the layers are capped.
@@ -548,7 +536,7 @@ def split_optimum(
     return outcome
 
 
-def _unit_of(outcome: RefinedOutcome) -> Fraction:
+def _unit_of(outcome: Optimum[Any]) -> Fraction:
     """Return the unit of the process of an outcome."""
     return cast("CompiledAccumulatedCost", outcome.compiled).base.exact_unit
 
@@ -585,7 +573,7 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
     if two_sided_gap(attained, bound) > options.tolerance and not is_late():
         unit = cast("CostAwarePolicy", best.policy.policies[0]).unit
         more = "no room for more levels"
-        if _levels_asked(problem) is not None:
+        if problem.cost_levels is not None:
             more = "set more levels for a smaller gap"
         note = f"costs are rounded to multiples of {unit:g}: {more}"
     return replace(
@@ -602,7 +590,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
     """Yield the best policy by costs rounded up, with the best bound, after each unit."""
     best, semantics, risk = None, problem.semantics, problem.semantics.risk
     sign = -1.0 if semantics.maximises else 1.0
-    bound, span = _trivial_bound(problem), span_of_totals(problem)
+    bound, span = worth_bound(problem), span_of_totals(problem)
     for unit in rounding_units(problem, span):
         rough = float(unit) / span if best is None else _SHARE * best.gap
         finer = replace(options, tolerance=max(options.tolerance, rough))
@@ -632,7 +620,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
 
 def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> Iterator[Proved]:
     """Yield the best bound by rounded costs after each unit."""
-    sign, bound = -1.0 if problem.semantics.maximises else 1.0, _trivial_bound(problem)
+    sign, bound = -1.0 if problem.semantics.maximises else 1.0, worth_bound(problem)
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
         proved, allowed = lattice_bound(problem, unit, rough)
         bound = sign * max(sign * bound, sign * proved)
@@ -693,14 +681,6 @@ def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restat
     )
 
 
-def _trivial_bound(problem: Problem) -> float:
-    """Return a bound of the optimum that needs no solve."""
-    semantics, charge = problem.semantics, problem.semantics.charge(problem.ratio)
-    if charge is None or not semantics.maximises:
-        return 0.0
-    return semantics.failing_worth - charge.lowest
-
-
 _FIRST = 128  # units in the span of totals at first
 _FINER = 4.0  # factor of the number of units from one solve to the next
 _QUICK = 3e8  # most units times outcomes of a quick sweep
@@ -725,7 +705,7 @@ def rounding_units(
         finest: down to the finest unit that fits, whatever ``cost_levels`` says.
     """
     room = min(max(_MOST, _ROOM // problem.model.n_states), _FINEST)
-    most = (None if finest else _levels_asked(problem)) or room
+    most = (None if finest else problem.cost_levels) or room
     least_unit = _ROOM_FOR_DIGITS * span / cheapest
     is_quick = least_unit * problem.model.n_outcomes <= _QUICK
     many = float(min(max(_FIRST, least_unit if is_quick else 0.0), most))

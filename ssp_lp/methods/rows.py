@@ -19,8 +19,8 @@ is proved by prices z >= 0 at which ``z @ activity`` of every policy exceeds ``z
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +34,6 @@ from ssp_lp.column_generation.column import (
     Proof,
     least_of,
     relative_gap,
-    two_sided_gap,
 )
 from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplicit
 from ssp_lp.column_generation.explicit_pricing import LARGEST
@@ -44,13 +43,20 @@ from ssp_lp.column_generation.search import (
     Pool,
     Rows,
     generate,
+    lottery_within,
     without_negligible_prices,
 )
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late, is_limited
-from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_program
-from ssp_lp.methods.refinement import Proved, refine
+from ssp_lp.methods.refinement import (
+    TRIAL_TOLERANCE,
+    Optimum,
+    Proved,
+    finer_optima,
+    proved_objective,
+    refine,
+)
 from ssp_lp.options import CERTIFYING, Game, SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.cost_aware import levels_of
@@ -63,39 +69,13 @@ from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
     goal_out_of_reach,
 )
-from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
+from ssp_lp.solution import CUT_SHORT, Run, Solution, assembled
 
 _PATIENCE = 6  # refinements in which the gap must at least halve
 _COARSE_TOTALS = 64  # totals of the first, coarse grid
 _COARSE_GAP = 1e-4  # relative gap on the coarse grid
 _COARSE = 0.5  # relative gap of a search that only decides feasibility
-_TRIAL_TOLERANCE = 1e-2  # relative gap of a trial, whose price gives the next cap
 _FINER = 1e-3  # factor of the tolerance if a complement is minimised, which may be much larger
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _RowsOptimum(Answer):
-    """The best lottery found, with its proof and the work done."""
-
-    policy: MixedPolicy
-    compiled: CompiledExplicit
-    calls: int
-    work: Work
-    search: Master  # the final restricted master
-    program: str = ""
-
-    @property
-    def kappa(self) -> float:
-        """Price of failure: the dual of the failure row, in case S plus the ratio."""
-        ratio = self.value if self.compiled.ratio else 0.0
-        return ratio + self.prices.get(FAILURE_ROW, 0.0)
-
-    @property
-    def gap(self) -> float:
-        """Relative gap of the objective that the user asked for."""
-        worth = self.compiled.sense.worth
-        is_attained = np.isfinite(self.value)
-        return two_sided_gap(worth(self.value), worth(self.bound)) if is_attained else np.inf
 
 
 def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
@@ -120,12 +100,12 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
         is_rare = is_rarely_reached(stated, 1.0 - optimum.failure)
         if is_rare or _may_be_rarer(stated, optimum, options):
             stated = replace(stated, by_goal=True)
-            truth, work = true_figures(problem, stated), optimum.work
+            truth = true_figures(problem, stated)
             again = rows_optimum(stated, options.after(optimum.calls), truth)
-            again = replace(again, calls=optimum.calls + again.calls, work=work + again.work)
+            again = optimum.followed_by(again)
             optimum = again if again.gap <= optimum.gap else optimum
     except Stop as stop:
-        if not isinstance(stop.choice, _RowsOptimum):
+        if not isinstance(stop.choice, Optimum):
             raise
         optimum = stop.choice
     compiled = optimum.compiled
@@ -142,7 +122,9 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
     return assembled(problem, optimum, run, compiled.sense)
 
 
-def _may_be_rarer(stated: CompiledExplicit, optimum: _RowsOptimum, options: SolveOptions) -> bool:
+def _may_be_rarer(
+    stated: CompiledExplicit, optimum: Optimum[CompiledExplicit], options: SolveOptions
+) -> bool:
     """Return whether the optimum improves if rare success is counted by the goal's probability.
 
     The search uses slightly tighter rows, so that no success comes from the tolerance of a row.
@@ -171,7 +153,7 @@ def is_rarely_reached(stated: CompiledExplicit, goal: float) -> bool:
 
 def rows_optimum(
     stated: CompiledExplicit, options: SolveOptions, truth: Truth | None = None
-) -> _RowsOptimum:
+) -> Optimum[CompiledExplicit]:
     """Return the best lottery within all rows, refined until the gap meets the tolerance.
 
     Args:
@@ -186,7 +168,7 @@ def rows_optimum(
         Stop: the time limit was reached before a policy was evaluated; it carries an optimum
         with a bound alone.
     """
-    guess: _RowsOptimum | None = None
+    guess: Optimum[CompiledExplicit] | None = None
     if stated.charge is not None and options.program is None:
         stated = stated.with_tails(exact=False)
     if stated.resolution is not None and stated.charge is not None:
@@ -195,7 +177,13 @@ def rows_optimum(
         lossless = stated.charge.lossless(guess.kappa)  # failing is optimal from there on
         stated = replace(stated, resolution=stated.resolution.up_to(lossless))
     try:
-        best = refine(_rows_attempts(stated, options, truth, guess), options.tolerance)
+        attempts = finer_optima(
+            _rows_attempt(stated, options, truth, guess),
+            lambda finer, later, before: _rows_attempt(finer, later, truth, before),
+            options,
+            _PATIENCE,
+        )
+        best = refine(attempts, options.tolerance)
     except Stop:
         if guess is None:
             raise
@@ -220,51 +208,30 @@ def rows_optimum(
     return replace(best, note=note)
 
 
-def _rows_attempts(
-    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: _RowsOptimum | None
-) -> Iterator[_RowsOptimum]:
-    """Yield optima on finer and finer totals."""
-    calls, work, gaps, begun = 0, Work(), list[float](), None
-    while True:
-        try:
-            optimum = _rows_attempt(stated, options.after(calls), truth, guess, begun)
-        except SolverError:
-            if gaps and is_late():
-                return
-            raise
-        calls, work = calls + optimum.calls, work + optimum.work
-        if not stated.is_trial or is_limited():
-            gaps.append(optimum.gap)
-            yield replace(optimum, calls=calls, work=work)
-        stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
-        finer = None if stuck or stated.charge is None else optimum.compiled.refined(optimum.kappa)
-        begun = None if finer is None or options.program else optimum.search
-        if finer is None:
-            return
-        stated = finer
-        if optimum.compiled.totals is not None and np.isfinite(optimum.value):
-            guess = optimum
-
-
 def _rows_attempt(
     stated: CompiledExplicit,
     options: SolveOptions,
     truth: Truth | None,
-    guess: _RowsOptimum | None,
-    begun: Master | None = None,
-) -> _RowsOptimum:
+    before: Optimum[CompiledExplicit] | None,
+) -> Optimum[CompiledExplicit]:
     """Return the optimum of one search within the rows, with a certified bound.
 
     The bound is proved at the final prices. A trial ends at a coarse gap, and without a bound
     unless there is a time limit.
+
+    Args:
+        stated: the problem.
+        options: method, tolerance and limits.
+        truth: evaluates policies on the model if the process has accumulated cost.
+        before: optimum on a coarser process, whose lottery or prices are the first ones.
     """
-    finer, rough = _FINER if stated.sense.constant else 1.0, _TRIAL_TOLERANCE * stated.is_trial
+    finer, rough = _FINER if stated.sense.constant else 1.0, TRIAL_TOLERANCE * stated.is_trial
     options = replace(options, tolerance=max(finer * options.tolerance, rough))
     program: ProgramOptimum | None = None
-    taken_on = None if begun is None else _taken_on(begun, stated.pricing())
+    taken_on = None if before is None else _taken_on(before.search, stated.pricing())
     compiled, rule = opened(stated, options) if taken_on is None else (stated, taken_on)
-    if guess is not None:
-        rule = search_begun_at(compiled, rule, guess.value, guess.prices)
+    if before is not None and taken_on is None and np.isfinite(before.value):
+        rule = search_begun_at(compiled, rule, before.value, before.prices)
     if options.program is not None:
         program, rule = search_begun_at_duals(compiled, rule, options)
     generated = best_lottery(compiled, rule, options)
@@ -274,9 +241,10 @@ def _rows_attempt(
     if program is not None and generated.finished:
         check_agreement(program, value)
     prices = without_negligible_prices(generated.prices, pool.sizes(rows), size)
-    bound, values, is_proved = 0.0, compiled.pricing().anything, not stated.is_trial or is_limited()
-    with WithIncumbent(), closing():  # without time left the values stay infinite
-        if is_proved:
+    bound, values, is_proved = 0.0, None, not stated.is_trial or is_limited()
+    if is_proved:
+        values = compiled.pricing().anything
+        with WithIncumbent(), closing():  # without time left the values stay infinite
             bound, proof = rows_bound(compiled, rows, prices, pool.proved)
             values = read_only(proof.values)
     policy, taken = generated.lottery(compiled.pricing()), generated.figures[rows.index].tolist()
@@ -287,48 +255,33 @@ def _rows_attempt(
             taken = {}  # those of the process are rounded
             repaired = true_lottery(compiled, rows, pool, rows.weights(prices), truth[1])
             if repaired is not None:
-                value, (policy, failure) = truth[0](repaired[0]), repaired
+                policy, failure = repaired.lottery(compiled.pricing()), repaired.failure
+                value = truth[0](policy)
     elif truth is not None and is_proved:
         known = None if stated.exact_tails else _true_value(generated, compiled)
         value = truth[0](policy) if known is None else known
-    granted, named = _of_rows(compiled, rows, prices)
+    named = dict.fromkeys(compiled.names, 0.0)  # rows without a limit have price 0
+    named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
+    if compiled.budget is None:  # with least failure there is no price of failure
+        del named[FAILURE_ROW]
+    granted, note = _granted(compiled, rows, generated.finished)
     paid = float(prices @ np.abs(rows.bounds))
-    return _RowsOptimum(
-        compiled=compiled,
+    return Optimum.of(
+        compiled,
+        rule,
+        generated,
+        program,
+        policy=policy,
         value=value,
         bound=compiled.sense.settled_bound(value, least_of(bound, value), paid),
-        policy=policy,
         failure=failure,
         price=named.get(FAILURE_ROW),
         prices=named,
         values=values,
-        calls=pool.calls,
-        work=pool.work,
-        search=rule,
-        note=_remarks(compiled, granted, generated.finished),
+        note=note,
         granted=granted,
         taken=taken,
-        program="" if program is None else program.report,
     )
-
-
-def _of_rows(
-    compiled: CompiledExplicit, rows: Rows, prices: FloatArray
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Return bounds that were raised to the attainable value, and prices of all rows, by name.
-
-    Rows without a limit have price 0. With least failure there is no price of failure.
-    """
-    granted = {
-        compiled.names[place]: float(bound)
-        for place, bound in zip((rows.index - 1).tolist(), rows.bounds, strict=True)
-        if bound > compiled.bounds[place]
-    }
-    named = dict.fromkeys(compiled.names, 0.0)
-    named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
-    if compiled.budget is None:
-        del named[FAILURE_ROW]
-    return granted, named
 
 
 def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | None:
@@ -350,29 +303,29 @@ def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
     known = pricing.taken_on(search.lottery[0])
     if known is None:
         return None
-    return replace(
-        search,
-        pool=Pool(pricing, known),
-        bound=0.0,
-        last=None,
-        tried=None,
-        lottery=((), np.zeros(0)),
-        objective=np.inf,
-    )
+    pool, ratio = Pool(pricing, known), search.given_success
+    return Master(pool, search.rows, search.prices, given_success=ratio, luck=search.luck)
 
 
-def _remarks(compiled: CompiledExplicit, granted: Mapping[str, float], finished: bool) -> str:
-    """Return the notes on an optimum: raised bounds, or a search cut short."""
-    remarks = []
-    bounds = dict(zip(compiled.names, compiled.bounds.tolist(), strict=True))
-    for name, most in granted.items():
-        remarks.append(
-            f"the bound of {name!r} lies {most - bounds[name]:.1e} below "
-            "the attainable value and counts as equal to it"
-        )
-    if not finished:
-        remarks.append(CUT_SHORT)
-    return "; ".join(remarks)
+def _granted(
+    compiled: CompiledExplicit, rows: Rows, finished: bool
+) -> tuple[dict[str, float], str]:
+    """Return bounds that were raised to the attainable value, by name, and the notes on a search.
+
+    Args:
+        compiled: the problem.
+        rows: the limited rows, with the bounds that count.
+        finished: whether the search was not cut short.
+    """
+    stated = dict(zip(compiled.names, compiled.bounds.tolist(), strict=True))
+    counted = zip(names_of(compiled, rows), rows.bounds.tolist(), strict=True)
+    granted = {name: bound for name, bound in counted if bound > stated[name]}
+    remarks = [
+        f"the bound of {name!r} lies {bound - stated[name]:.1e} below "
+        "the attainable value and counts as equal to it"
+        for name, bound in granted.items()
+    ]
+    return granted, "; ".join([*remarks, *([] if finished else [CUT_SHORT])])
 
 
 _TRACE = 1e-15  # a weight this small is a rounded 0
@@ -380,7 +333,6 @@ _MOST = 8  # most policies of the search that are evaluated
 _STEEPER = (0.01, 0.1, 1.0, 100.0)  # relative increases of the prices, one for each new policy
 _LUCK = 1e-12  # share of the greatest goal probability that a row's tolerance may allow
 _TIGHTER = 1e-12  # share of a bound, far above its tolerance
-_KEPT = 1e-12  # feasibility tolerance of a row, relative to its bound
 _CLOSE = 1e-12  # relative gap of a bound that needs no further proof
 
 
@@ -414,8 +366,8 @@ def true_lottery(
     pool: Pool,
     weights: FloatArray,
     figures: Callable[[Policy], FloatArray],
-) -> tuple[MixedPolicy, float] | None:
-    """Return the best lottery within the rows by true figures, and its failure.
+) -> Generated | None:
+    """Return the best lottery within the rows by true figures.
 
     Args:
         compiled: the problem.
@@ -438,32 +390,13 @@ def true_lottery(
             steeper = weights.copy()
             steeper[rows.index] += factor * np.maximum(weights[rows.index], least)
             points.append(pricing.minimise(steeper, best))
-    measured = []
-    for policy in map(pricing.policy, points):
-        column = Column.of_figures(figures(policy), None, by_goal=compiled.by_goal, policy=policy)
-        measured.append(column)
-    true, none = Pool(pricing, measured), np.zeros(len(rows.index))
-    within = Master(true, rows, none, elastic=True)
-    within.solve()
-    columns, weights = within.lottery
-    taken = weights @ np.stack([column.figures[rows.index] for column in columns])
-    if (taken > rows.bounds + _KEPT * np.abs(rows.bounds)).any():
-        return None
-    master = Master(true, rows, none, given_success=compiled.ratio, luck=_luck(compiled))
-    if compiled.ratio:
-        cost, goal = weights @ [(column.cost, column.goal) for column in columns]
-        if goal > master.luck:
-            master.lottery, master.objective = within.lottery, float(cost / goal)
-            master.rows = replace(rows, ratio=master.objective)
-        else:
-            ratios = [column.cost / max(column.goal, 1e-300) for column in measured]
-            master.rows = replace(rows, ratio=max(ratios) + 1.0)
-    master.solve()
-    if not np.isfinite(master.objective):
-        return None
-    columns, weights = master.lottery
-    members = tuple(column.policy for column in columns if column.policy is not None)
-    return MixedPolicy(members, weights), float(weights @ [column.failure for column in columns])
+    by_goal = compiled.by_goal
+    measured = [
+        Column.of_figures(figures(policy), None, by_goal=by_goal, policy=policy)
+        for policy in map(pricing.policy, points)
+    ]
+    luck = _luck(compiled)
+    return lottery_within(pricing, measured, rows, ratio=compiled.ratio, luck=luck)
 
 
 def _luck(compiled: CompiledExplicit) -> float:
@@ -472,27 +405,37 @@ def _luck(compiled: CompiledExplicit) -> float:
     return 0.0 if is_told else _LUCK * compiled.greatest_goal
 
 
-def true_figures(problem: Problem, stated: CompiledExplicit) -> Truth | None:
-    """Return functions that evaluate policies on the model; None: the process is exact."""
+def true_figures(
+    problem: Problem,
+    stated: CompiledExplicit,
+    value: Callable[[MixedPolicy], float] | None = None,
+) -> Truth | None:
+    """Return functions that evaluate policies on the model; None: the process is exact.
+
+    Args:
+        problem: the problem.
+        stated: the problem, compiled.
+        value: returns the minimised value of a lottery; None: that of the problem's objective.
+    """
     if stated.charge is None:
         return None
     plain = problem.unrolled
     asked = (plain.start, plain.ratio, plain.failure_budget, plain.semantics)
     unlimited = Restated(plain.model, *asked, discount=plain.discount)
 
-    def value(policy: MixedPolicy) -> float:
+    def own_value(policy: MixedPolicy) -> float:
         """Return the minimised value of a lottery; ``constant - value`` is its own inverse."""
         return stated.sense.worth(evaluate(policy, unlimited).objective)
+
+    value = value or own_value
 
     def figures(policy: Policy) -> FloatArray:
         """Return cost, failure and rows of one policy, [rewards]."""
         evaluation = evaluate(policy, problem)
         goal = evaluation.limited_goal
-        if stated.ratio:
-            cost = evaluation.objective * goal if goal > 0.0 else 0.0
-        else:
-            cost = value(MixedPolicy((policy,), np.ones(1)))
+        cost = value(MixedPolicy((policy,), np.ones(1))) if goal > 0.0 or not stated.ratio else 0.0
         ending = -goal if stated.by_goal else evaluation.limited_failure
+        cost *= goal if stated.ratio else 1.0
         return np.array([cost, ending, *row_activities(stated, evaluation)])
 
     return value, figures
@@ -557,7 +500,7 @@ def phase_one(
         ended = _without_traces(ended, rows)
     if _kept_to(ended, rows):
         raised = rows.relaxed(ended.excess)
-        ratio = _positive_ratio(pool, ended) if compiled.ratio else 0.0
+        ratio = pool.first_ratio(ended) if compiled.ratio else 0.0
         return Master(
             pool,
             replace(raised, ratio=ratio),
@@ -579,17 +522,6 @@ def phase_one(
             "of the limits was proved"
         )
     raise _infeasible(compiled, stated, _irreducible_conflict(pool, rows, first, options), rows)
-
-
-def _positive_ratio(pool: Pool, ended: Generated) -> float:
-    """Return a positive first ratio of phase 2: of the lottery, or of a policy."""
-    attained = ended.given_success
-    if np.isfinite(attained) and attained > 0.0:
-        return attained
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = pool.figures[0] / [column.goal for column in pool.columns]
-    ratios = ratios[np.isfinite(ratios) & (ratios > 0.0)]
-    return float(ratios.max()) if ratios.size else 1.0
 
 
 class _Conflict(NamedTuple):
@@ -934,10 +866,5 @@ def proved_at_prices(
     lower = max(bounded, default=0.0)
     if 0 in places and not compiled.by_goal:
         budget = float(rows.bounds[0])
-    attained = evaluation.objective - compiled.sense.worth(0.0)
-    lower = compiled.sense.settled_bound(
-        attained if compiled.sense.constant is None else -attained,
-        lower,
-        float(prices @ np.abs(bounds)),
-    )
-    return Proved(evaluation.objective, compiled.sense.worth(lower), budget)
+    paid = float(prices @ np.abs(bounds))
+    return proved_objective(compiled.sense, evaluation.objective, lower, budget, paid=paid)

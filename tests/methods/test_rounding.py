@@ -479,7 +479,7 @@ def test_levels_that_lie_evenly_lead_as_the_first_one_does():
     model = corridor([0.75, 1.25, 0.5], 2.0)
     problem = S3P(model, "r0", 0.3)
     outcome = split_optimum(problem, Fraction(1, 2), SolveOptions(1e-6), None)
-    policy = outcome.generated.columns[0].policy or outcome.lottery.policies[0]
+    policy = outcome.generated.columns[0].policy or outcome.policy.policies[0]
     assert isinstance(policy, CostAwarePolicy)
     column = rounding._true_column(problem, outcome, policy)
     layers = column.policy.layers()
