@@ -26,7 +26,7 @@ class MinProb(Formulation):
 
     Semantics:
         exact, wandering for ever is not reaching. At an attention state that is not a dead-end the
-        policy gives up; an episode's ``continue_after_give_up`` avoids the goal from there on.
+        policy gives up; ``acting_everywhere`` avoids the goal from there on.
 
     Reference:
         paper, section 2.3.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import fsum
 from typing import NamedTuple, overload
 
@@ -58,9 +58,7 @@ class Evaluation(Facts):
     objective: float  # of the problem: discounted if it is, with penalty, or a measure of the law
     discounted_failure: float | None  # paper, eq. constrain_condition_approximate
     ends: Mapping[str, float]  # probability of each end: goal, labels, dead_end, gave_up, wandering
-    secondary_costs: Mapping[str, float] = field(
-        default_factory=dict
-    )  # each constrained quantity, by name; as ``objective``
+    secondary_costs: Mapping[str, float]  # each constrained quantity, by name; as ``objective``
     cost_after_failing: float | None = None  # until the true end; None: failing ends runs
     discounted_goal: float | None = None  # E[gamma^T; goal]; None: exact
 
@@ -74,10 +72,6 @@ class Evaluation(Facts):
         """Failure of the evaluated policy that a budget limits, discounted if the problem is."""
         surrogate = self.discounted_failure
         return self.failure_probability if surrogate is None else surrogate
-
-    def __post_init__(self) -> None:
-        for name, numbers in (("ends", self.ends), ("secondary_costs", self.secondary_costs)):
-            object.__setattr__(self, name, ByName(numbers))
 
     def tables(self) -> list[Table]:
         """Return a table of the objective, the ends of episodes, and the costs."""
@@ -168,7 +162,7 @@ def evaluate_each(
         members.append(measures)
         if semantics.counts_law and weight > 0.0:  # the law needs it as well
             chains.append(chains_of_law(problem.model, member, start, chain, soon=True))
-    evaluation = evaluation_of(mean_of(members, lottery.weights), problem)
+    evaluation = evaluation_of(_mean_of(members, lottery.weights), problem)
     each = [evaluation_of(member, problem) for member in members]
     if not semantics.counts_law:
         return evaluation, each
@@ -201,7 +195,7 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
         (0.875, 0.5)
     """
     lottery, problem = on_one_model(policy, problem, "success_costs")
-    return law_of_chains(_law_chains(lottery, problem), lottery.weights[lottery.weights > 0.0])
+    return law_of_chains(*_law_chains(lottery, problem))
 
 
 def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
@@ -210,20 +204,20 @@ def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
     Members may round costs up. For a measure with values among the totals, the law is that of the
     true costs if it can be computed quickly.
     """
-    chains = _law_chains(policy, problem, soon=True)
-    return _measured_law(chains, policy.weights[policy.weights > 0.0], problem.semantics)
+    return _measured_law(*_law_chains(policy, problem, soon=True), problem.semantics)
 
 
 def _law_chains(
     lottery: MixedPolicy, problem: Problem, *, soon: bool = False
-) -> list[tuple[Chain, Chain]]:
-    """Return chains of a lottery's members with their cost laws: true, and as the members count."""
-    start = problem.start_mass
-    return [
-        chains_of_law(problem.model, member, start, soon=soon)
-        for weight, member in lottery.weighted
-        if weight > 0.0
-    ]
+) -> tuple[list[tuple[Chain, Chain]], FloatArray]:
+    """Return chains of a lottery's members with their cost laws, and the members' weights > 0.
+
+    The first chain of each has true costs, the second costs as the member counts them.
+    """
+    model, start = problem.model, problem.start_mass
+    used = lottery.weights > 0.0
+    members = [one for one, is_used in zip(lottery.policies, used, strict=True) if is_used]
+    return [chains_of_law(model, m, start, soon=soon) for m in members], lottery.weights[used]
 
 
 def _measured_law(
@@ -256,7 +250,7 @@ class _Measures(NamedTuple):
     later: FloatArray  # [1] cost after failing; [0] if failing ends runs
 
 
-def mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
+def _mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
     """Return the mean of measures over a lottery, without infinite costs of weight 0."""
     used = np.flatnonzero(weights > 0.0)
     columns = zip(*(parts[k] for k in used), strict=True)
@@ -275,7 +269,7 @@ def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
         objective += semantics.penalty * surrogate
     if problem.ratio:
         objective = objective / kept if kept > 0 else float("nan")
-    asked = asked_quantities(problem) if sums.secondary.size else ()
+    asked = _asked_quantities(problem) if sums.secondary.size else ()
     secondary = {one.name: value for one, value in zip(asked, sums.secondary.tolist(), strict=True)}
     if OBJECTIVE in secondary:  # a quantity replaces the cost
         objective = secondary.pop(OBJECTIVE)
@@ -289,29 +283,34 @@ def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
         objective=objective,
         discounted_failure=surrogate if discounted else None,
         discounted_goal=kept if discounted else None,
-        ends=dict(zip(ways, sums.ends.tolist(), strict=True)),
-        secondary_costs=secondary,
+        ends=ByName(zip(ways, sums.ends.tolist(), strict=True)),
+        secondary_costs=ByName(secondary),
         cost_after_failing=next(iter(sums.later.tolist()), None),
     )
 
 
 def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> _Measures:
-    """Return the measures for a policy's evaluation, on its chain."""
+    """Return the measures of a policy from its chain."""
     mass = np.zeros((chain.n_nodes, 3 * len(_survivals(problem))))
     mass[:, ::3] = chain.start[:, None]
     counted = counted_nodes(chain, problem, declared=declared)
     totals = _chain_totals(chain, counted, problem, mass)
     measures = _measures_of(totals, _evaluated_ends(chain, chain.start))
-    values, later = quantity_values(chain, counted, problem), cost_after_failing(chain, counted)
+    values = [
+        asked.constant
+        + sum(w * _quantity_value(chain, counted, problem, term) for w, term in asked.terms)
+        for asked in _asked_quantities(problem)
+    ]
+    later = _cost_after_failing(chain, counted)
     return measures._replace(secondary=np.array(values), later=np.array(later))
 
 
 def _measures_of(totals: FloatArray, ends: FloatArray) -> _Measures:
-    """Return the measures of totals by discount, [discounts, 4], and of ways to end, [ways]."""
+    """Return measures from the totals, [discounts, 4], and the probabilities of ends, [ways]."""
     for row in totals:  # goal and failure within [0, 1]; either is 0 if the other is sure
-        goal, failure = row[[GOAL, FAILED]]
-        row[GOAL] = 1.0 if failure == 0.0 else min(goal, 1.0)
-        row[FAILED] = 1.0 if goal <= 0.0 < failure else min(failure, 1.0)
+        goal, failure = row[[_GOAL, _FAILED]]
+        row[_GOAL] = 1.0 if failure == 0.0 else min(goal, 1.0)
+        row[_FAILED] = 1.0 if goal <= 0.0 < failure else min(failure, 1.0)
     return _Measures(totals, np.append(ends, complement(float(ends.sum()))), *np.zeros((2, 0)))
 
 
@@ -320,7 +319,7 @@ def _survivals(problem: Problem) -> list[float]:
     return [1.0] if problem.discount is None else [1.0, problem.discount]
 
 
-GOAL, FAILED, STOPPED = 0, 1, 3
+_GOAL, _FAILED, _STOPPED = 0, 1, 3
 """Columns of the totals of an evaluation."""
 
 
@@ -340,7 +339,7 @@ def _chain_totals(
         ModelError: the policy gives up where the problem forbids it.
     """
     semantics, totals = problem.semantics, []
-    check_giving_up(chain, problem)
+    _check_giving_up(chain, problem)
     alive = chain.alive
     ended = np.where(alive | (chain.goal > 0), 0.0, 1.0)
     for k, survival in enumerate(_survivals(problem)):
@@ -349,7 +348,7 @@ def _chain_totals(
         leaks = (1.0 - survival) + survival * (chain.ahead(ended) + chain.give_up)
         failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
         begins = entering + lost if semantics.give_up is GiveUp.DEAD_ENDS else entering
-        stopped = value_until_failure(chain, counted, semantics, survival, start=begins)
+        stopped = _value_until_failure(chain, counted, semantics, survival, start=begins)
         success = entering @ cost + paid @ reached / survival
         totals.append([entering @ reached, entering @ failed, success, stopped])
     return np.array(totals)
@@ -362,38 +361,36 @@ def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
     ends, stops = (
         marks(chain.model)[chain.state][:, None] == ways for marks in (end_marks, stop_marks)
     )
-    values = ending_values(chain, np.where(final & ends, 1.0, 0.0), at_stop=stops)
+    values = _ending_values(chain, np.where(final & ends, 1.0, 0.0), at_stop=stops)
     return np.asarray(start @ values)
 
 
 _ROUNDING = 64 * MACHINE_EPSILON
 """Greatest wandering that is rounding, as 1 minus the sum of the other ends."""
 
+_MOST_NODES = 100_000  # of a chain in which the first place of giving up is sought
 _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"}
 
 
 def cost_in_words(cost: float) -> str:
-    """Return a cost of an evaluation as text; nan is a cost given success without success."""
+    """Return a cost as text; nan is the cost given success if the goal is never reached."""
     return "none: the goal is never reached" if cost != cost else f"{cost:.6g}"
 
 
 def failing_in_words(ends: Mapping[str, float]) -> str:
-    """Return the evaluated ways to fail in a line: "crash 0.03, gave up 0.02"."""
+    """Return the probabilities of the ways to fail in a line: "crash 0.03, gave up 0.02"."""
     least = {"goal": np.inf, "wandering": _ROUNDING}
     ways = ((name, share) for name, share in ends.items() if share > least.get(name, 0.0))
     return ", ".join(f"{_WORDS.get(name, name)} {share:.6g}" for name, share in ways)
 
 
-def giving_up_in_words(
-    policy: MixedPolicy, problem: Problem, share: float, most_nodes: int = 100_000
-) -> str:
+def giving_up_in_words(policy: MixedPolicy, problem: Problem, share: float) -> str:
     """Return where the evaluated policy gives up first, and how often before the first step.
 
     Args:
         policy: of the problem.
         problem: problem with the start.
         share: probability of giving up.
-        most_nodes: greatest size of a member's chain in which the place is sought.
     """
     at_start, start = 0.0, problem.start_mass
     states = np.flatnonzero((start > 0.0) & (np.diff(problem.model.pair_offsets) > 0))
@@ -407,7 +404,7 @@ def giving_up_in_words(
     if at_start > 0.0:
         return f"{at_start:.6g} of it before the first step"
     try:
-        rows = reached_table(policy, start, most_nodes)
+        rows = reached_table(policy, start, _MOST_NODES)
     except ModelError:  # too many nodes
         return ""
     first = next((row.state for row in rows if row.action is GIVE_UP), None)
@@ -429,10 +426,9 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
     pairs, gave_up = np.zeros(model.n_pairs), np.zeros(model.n_states)
     for member, weight in zip(lottery.policies, lottery.weights, strict=True):
         chain = policy_chain(model, member, start)
-        visits = weight * chain.visits()
-        flow, acts = visits[chain.branch_node] * chain.branch_probability, chain.branch_pair >= 0
+        flow, acts = weight * chain.flows(), chain.branch_pair >= 0
         np.add.at(pairs, chain.branch_pair[acts], flow[acts])
-        np.add.at(gave_up, chain.state, visits * chain.give_up)
+        np.add.at(gave_up, chain.state[chain.branch_node[~acts]], flow[~acts])
     while model is not problem.model and isinstance(model, ProductSSP):
         there = np.zeros(model.original.n_pairs), np.zeros(model.original.n_states)
         np.add.at(there[0], model.original_pair, pairs)
@@ -462,10 +458,9 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     for member, weight in zip(policy.policies, policy.weights, strict=True):
         lifted = JointMemory(keepers, member) if keepers else member
         chain = policy_chain(model, lifted, start)
-        flow = weight * chain.visits(survival)[chain.branch_node] * chain.branch_probability
         keys.append((chain.memory * model.n_states + chain.state)[chain.branch_node])
         pairs.append(chain.branch_pair)
-        flows.append(flow)
+        flows.append(weight * chain.flows(survival))
     every = np.concatenate(keys), np.concatenate(pairs), np.concatenate(flows)
     carrier = JointMemory(keepers, keepers[0]) if len(keepers) > 1 else next(iter(keepers), None)
     return StochasticPolicy.from_flows(model, *every, carrier)
@@ -492,21 +487,22 @@ def layered_measures(
     moves, survivals = LayerMoves(model, layers), _survivals(problem)
     if not moves.is_soon_followed(least_nodes):
         return None
-    hopeful, costs = hopeful_layers(moves)[0], _LayerCosts.of(problem)
+    hopeful, (stage, charge, stopping) = hopeful_layers(moves)[0], _layer_costs(problem)
     waiting = np.zeros((moves.room, model.n_states, 3 * len(survivals)))
     waiting[0, :, ::3] = start[:, None]
     stopped = np.zeros((2, model.n_states))  # mass that ends in each state, and that gives up there
-    charged = costs.stage, costs.stopping, np.isinf(costs.charge), costs.goes_on
+    goes_on = problem.semantics.give_up is GiveUp.DEAD_ENDS  # costs are paid after the goal is lost
+    charged = stage, stopping, np.isinf(charge), goes_on
     together = moves.follow_evenly(waiting, stopped, survivals, hopeful, charged)
     if together is None:
         return None
     ends, parts = np.zeros(len(model.state_labels) + 3), list(together)
     for layer, here, pairs, visits in moves.follow(waiting, survivals, hopeful, len(parts)):
         hopes, quits = hopeful[layer, here], pairs == GIVE_UP_CODE
-        if (quits & np.isinf(costs.charge[here])).any() or (pairs == UNDECIDED).any():
+        if (quits & np.isinf(charge[here])).any() or (pairs == UNDECIDED).any():
             return None
         stopped[quits.astype(np.int64), here] += np.where(hopes, visits[:, 0], visits[:, 2])
-        parts.append(costs.of_layer(here, pairs, hopes, visits))
+        parts.append(_layer_totals(problem, stage, stopping, here, pairs, hopes, visits))
     try:
         for tail, mass in landed_chains(moves, waiting):
             counted, entering = tail.alive | (tail.goal > 0), mass.sum(axis=0)
@@ -518,60 +514,60 @@ def layered_measures(
     over = marks >= 0
     ends += np.bincount(marks[over], weights=stopped[over], minlength=ends.size)
     totals = np.apply_along_axis(fsum, 0, np.array(parts)).astype(np.float64)
-    if problem.semantics.forbids_failing and totals[0, FAILED] > 0.0:
-        totals[:, STOPPED] = np.inf
+    if problem.semantics.forbids_failing and totals[0, _FAILED] > 0.0:
+        totals[:, _STOPPED] = np.inf
     return _measures_of(totals, ends)
 
 
-@dataclass(frozen=True, eq=False)
-class _LayerCosts:
-    """Costs, without limits, summed over the layers of a policy that remembers its cost."""
+def _layer_costs(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the costs of a layered policy's pairs and states.
 
-    problem: Problem
-    stage: FloatArray  # [pairs] mean cost of a step
-    charge: FloatArray  # [states] of giving up, infinite if not allowed
-    stopping: FloatArray  # [states] cost of failing in each
-
-    @classmethod
-    def of(cls, problem: Problem) -> _LayerCosts:
-        """Return the layered costs of a problem."""
-        model, semantics, dead = problem.model, problem.semantics, dead_ends(problem.model)
-        charge = state_give_up_charges(model, semantics)
-        entering = dead_end_charges(model, dead, semantics)
-        stopping = np.where(dead, entering, np.where(np.isinf(charge), 0.0, charge))
-        return cls(problem, cost_means(model), charge, stopping)
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether costs are paid after the goal is lost."""
-        return self.problem.semantics.give_up is GiveUp.DEAD_ENDS
-
-    def of_layer(
-        self, here: IntArray, pairs: IntArray, hopes: BoolArray, visits: FloatArray
-    ) -> FloatArray:
-        """Return goal, failure, cost of success and cost until failure of a layer, [discounts, 4].
-
-        Args:
-            here: states, [k].
-            pairs: their pairs, [k].
-            hopes: whether the goal can be reached, [k].
-            visits: as in ``LayerMoves.follow``, [k, 3 * discounts].
-        """
-        stopping, rows = self.stopping[here], list[list[float]]()
-        at_goal, moving = self.problem.model.goal_mask[here], pairs >= 0
-        cost = np.where(moving, self.stage[np.maximum(pairs, 0)], stopping)
-        cost[at_goal] = 0.0
-        costly = ~hopes & (cost > 0.0)
-        for k, survival in enumerate(_survivals(self.problem)):
-            mass, paid, lost = visits[:, 3 * k : 3 * k + 3].T
-            failed = mass[~hopes].sum() + (1.0 - survival) * mass[hopes & moving].sum()
-            after = lost[costly] @ cost[costly] if self.goes_on else mass @ (~hopes * stopping)
-            stopped = mass @ (hopes * cost) + after
-            rows.append([mass[at_goal].sum(), failed, paid[at_goal].sum() / survival, stopped])
-        return np.array(rows)
+    Returns:
+        The mean cost of a step, [pairs]; the charge of giving up, infinite if it is not allowed,
+        and the cost of failing, [states] each.
+    """
+    model, semantics = problem.model, problem.semantics
+    charge = state_give_up_charges(model, semantics)
+    stopping = np.where(np.isinf(charge), 0.0, charge)
+    stopping = np.where(dead_ends(model), entering_charges(model, semantics), stopping)
+    return cost_means(model), charge, stopping
 
 
-def give_up_costs(
+def _layer_totals(
+    problem: Problem,
+    stage: FloatArray,
+    stopping: FloatArray,
+    here: IntArray,
+    pairs: IntArray,
+    hopes: BoolArray,
+    visits: FloatArray,
+) -> FloatArray:
+    """Return goal, failure, cost of success and cost until failure of a layer, [discounts, 4].
+
+    Args:
+        problem: problem with the semantics and the discount.
+        stage: mean cost of a step, [pairs].
+        stopping: cost of failing, [states].
+        here: states, [k].
+        pairs: their pairs, [k].
+        hopes: whether the goal can be reached, [k].
+        visits: as in ``LayerMoves.follow``, [k, 3 * discounts].
+    """
+    at_goal, moving, rows = problem.model.goal_mask[here], pairs >= 0, list[list[float]]()
+    cost = np.where(moving, stage[np.maximum(pairs, 0)], stopping[here])
+    cost[at_goal] = 0.0
+    costly = ~hopes & (cost > 0.0)
+    goes_on = problem.semantics.give_up is GiveUp.DEAD_ENDS
+    for k, survival in enumerate(_survivals(problem)):
+        mass, paid, lost = visits[:, 3 * k : 3 * k + 3].T
+        failed = mass[~hopes].sum() + (1.0 - survival) * mass[hopes & moving].sum()
+        after = lost[costly] @ cost[costly] if goes_on else mass @ (~hopes * stopping[here])
+        stopped = mass @ (hopes * cost) + after
+        rows.append([mass[at_goal].sum(), failed, paid[at_goal].sum() / survival, stopped])
+    return np.array(rows)
+
+
+def _give_up_costs(
     chain: Chain, semantics: FailureSemantics, free: BoolArray | None = None
 ) -> FloatArray:
     """Return the cost of giving up at each node of a policy's chain, 0 if not allowed, [nodes]."""
@@ -581,7 +577,7 @@ def give_up_costs(
     return np.where(chain.give_up > 0, charge, 0.0)
 
 
-def check_giving_up(chain: Chain, problem: Problem) -> None:
+def _check_giving_up(chain: Chain, problem: Problem) -> None:
     """Check that a policy gives up only where the problem allows it.
 
     Giving up is allowed among pairs that are free in all quantities of the problem.
@@ -593,13 +589,13 @@ def check_giving_up(chain: Chain, problem: Problem) -> None:
     limited = (row for condition in problem.conditions for row in condition.rows)
     minimised = None if objective is None else objective.minimised()
     free = free_pairs(problem.model, semantics.aim, limited, minimised)
-    forbidden = np.isinf(give_up_costs(chain, semantics, free))
+    forbidden = np.isinf(_give_up_costs(chain, semantics, free))
     if forbidden.any():
         state = chain.model.states[int(chain.state[int(np.argmax(forbidden))])]
         raise ModelError(f"the policy gives up in state {state!r}: not with {semantics.give_up!s}")
 
 
-def lost_costs(
+def _lost_costs(
     chain: Chain,
     hopeful: BoolArray,
     semantics: FailureSemantics,
@@ -686,46 +682,35 @@ def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> 
 
 
 def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, IntArray], BoolArray]:
-    """Return a predicate for the (state, memory) of a policy in which its chain has failed.
+    """Return a function that says at which (state, memory) a policy has failed.
 
     Returns:
-        A function of states and memories, [situations] each; False for a situation that the model's
-        steps do not lead to.
+        A function of states and memories, [situations] each; False for a situation that no run of
+        the policy reaches.
     """
     model = problem.model
     if model.failure_label is None and policy.layers() is not None and not _asks_for_ends(problem):
         (stopping,) = giving_up_where_lost(as_lottery(policy)).policies
         return lambda states, memory: stopping.branches(states, memory).pair == GIVE_UP_CODE
     chain = policy_chain(model, policy, problem.start_mass)
-    lost = lost_nodes(chain, problem, declared=policy.declares_failing)
+    counted = counted_nodes(chain, problem, declared=policy.declares_failing)
+    lost = ~counted & (chain.dead == 0)
     keys = (chain.memory * model.n_states + chain.state)[lost]
     return lambda states, memory: np.isin(memory * model.n_states + states, keys)
 
 
-def lost_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> BoolArray:
-    """Return the nodes of a policy's chain at which it has failed, [nodes].
-
-    Args:
-        chain: chain of the policy.
-        problem: problem with the constraints.
-        declared: as in :func:`counted_nodes`.
-    """
-    counted = counted_nodes(chain, problem, declared=declared)
-    return np.asarray(~counted & (chain.dead == 0))
-
-
 def _asks_for_ends(problem: Problem) -> bool:
     """Return whether a constraint or the objective counts an end that is not the goal."""
-    return any(condition.wants_ends for condition in asked_quantities(problem))
+    return any(condition.wants_ends for condition in _asked_quantities(problem))
 
 
-def asked_quantities(problem: Problem) -> tuple[Condition, ...]:
+def _asked_quantities(problem: Problem) -> tuple[Condition, ...]:
     """Return the quantities whose values a problem needs: its limits, and its objective."""
     objective = problem.objective_condition
     return problem.conditions + (() if objective is None else (objective,))
 
 
-def cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
+def _cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
     """Return the expected cost from failing until the end, [1]; [0] if failing ends runs.
 
     Args:
@@ -737,16 +722,7 @@ def cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
     failed = label.after[chain.state[chain.target]] | ~counted[chain.source]
     paid = label.original.costs[label.original_outcome[chain.outcome]]
     later = replace(chain, cost=np.where(failed, paid, 0.0))
-    return [value_until_failure(later, chain.settling, FailureSemantics(GiveUp.DEAD_ENDS), 1.0)]
-
-
-def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> list[float]:
-    """Return the value of each quantity that a problem needs, [quantities]."""
-    return [
-        asked.constant
-        + sum(w * _quantity_value(chain, counted, problem, term) for w, term in asked.terms)
-        for asked in asked_quantities(problem)
-    ]
+    return [_value_until_failure(later, chain.settling, FailureSemantics(GiveUp.DEAD_ENDS), 1.0)]
 
 
 def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Term) -> float:
@@ -756,19 +732,19 @@ def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Te
         semantics, counted = replace(semantics, give_up=GiveUp.DEAD_ENDS), chain.settling
     if isinstance(term, StepTerm):
         other = replace(chain, model=term.model, cost=term.model.costs[chain.outcome])
-        return value_until_failure(other, counted, semantics, survival)
+        return _value_until_failure(other, counted, semantics, survival)
     there = term.states[chain.state].astype(np.float64)
     if not term.final:
         entering = replace(chain, cost=survival * there[chain.target])
         plain = FailureSemantics(semantics.give_up)
         at_once = chain.start @ (there * ((chain.goal > 0) | (chain.dead > 0)))
         free = term.free
-        return value_until_failure(entering, counted, plain, survival, free) + float(at_once)
-    ended = float(chain.start @ ending_values(chain, there[:, None], survival)[:, 0])
+        return _value_until_failure(entering, counted, plain, survival, free) + float(at_once)
+    ended = float(chain.start @ _ending_values(chain, there[:, None], survival)[:, 0])
     return complement(ended) if term.others else ended
 
 
-def ending_values(
+def _ending_values(
     chain: Chain, at_end: FloatArray, survival: float = 1.0, at_stop: FloatArray | float = 0.0
 ) -> FloatArray:
     """Return the probability of ending in some nodes, discounted, from each node, [nodes, ways].
@@ -784,7 +760,7 @@ def ending_values(
     return at_end + chain.accumulate(np.where(settling[:, None], hits, 0.0), settling, survival)
 
 
-def value_until_failure(
+def _value_until_failure(
     chain: Chain,
     hopeful: BoolArray,
     semantics: FailureSemantics,
@@ -803,10 +779,10 @@ def value_until_failure(
         start: mass that enters, [nodes]; None: the chain's own.
     """
     start = chain.start if start is None else start
-    lost = lost_costs(chain, hopeful, semantics, survival, free)
+    lost = _lost_costs(chain, hopeful, semantics, survival, free)
     if semantics.forbids_failing:
         lost = np.where(hopeful & (chain.give_up == 0.0), lost, np.inf)
-    charged = give_up_costs(chain, semantics, free)
+    charged = _give_up_costs(chain, semantics, free)
     endless = np.isinf(lost) | np.isinf(charged)
     if endless.any() and (start[chain.reaching(endless)] > 0).any():
         return float("inf")

@@ -11,15 +11,12 @@ import numpy as np
 from ssp_lp.arrays import FloatArray
 from ssp_lp.dynamic_programming.dynamics import leaving_choice
 from ssp_lp.errors import ModelError
-from ssp_lp.model.graph import nearer_pairs
 from ssp_lp.model.report import Report, Table
 from ssp_lp.policies.policy import MixedPolicy, Policy
-from ssp_lp.programs.occupation_measure import StateValues
+from ssp_lp.programs.occupation_measure import ROUNDING, StateValues, nearer_to_leaving
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
-
-_TIGHT = 1e-9  # reduced cost, relative to the greatest value, of an optimal action
 
 
 class ActionValue(NamedTuple):
@@ -107,7 +104,7 @@ def explanation(
     amounts = _following(values, np.stack(rewards))[:, columns]
     worth = np.array(weights) @ amounts
     excess = worth - worth.min()
-    excess[excess <= _TIGHT * np.abs(worth).max()] = 0.0  # rounding
+    excess[excess <= ROUNDING * np.abs(worth).max()] = 0.0  # rounding
     shares = {
         row.action: row.probability
         for row in policy.table()
@@ -144,10 +141,9 @@ def _counted_quantities(
 
 def _following(values: StateValues, rewards: FloatArray) -> FloatArray:
     """Return the expected amount of each quantity after each pair, [quantities, pairs]."""
-    process, dynamics = values.program.process, values.program.process.dynamics
-    scale = max(float(np.abs(values.states).max(initial=0.0)), 1.0)
-    tight = values.reduced_costs <= _TIGHT * scale
-    nearer = nearer_pairs(dynamics.graph, tight & (dynamics.exits > 0.0), tight)
-    choice = np.where(nearer >= 0, nearer, leaving_choice(dynamics, process.goal)).astype(np.int32)
-    after = dynamics.chain(choice).solve(np.ascontiguousarray(rewards[:, choice].T))
+    process, size = values.program.process, float(np.abs(values.states).max(initial=0.0))
+    tight = values.reduced_costs <= ROUNDING * max(size, 1.0)
+    leaving = leaving_choice(process.dynamics, process.goal)
+    choice = nearer_to_leaving(process, tight, leaving)
+    after = process.dynamics.chain(choice).solve(np.ascontiguousarray(rewards[:, choice].T))
     return np.asarray(rewards + (process.transitions @ after).T)

@@ -34,7 +34,6 @@ from ssp_lp.model.graph import attention_states, dead_ends, end_marks, stop_mark
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.model.ssp import ImplicitSSP
-from ssp_lp.model.tracked_product import TrackedSSP
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
@@ -183,22 +182,34 @@ class Simulator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ModelSimulator:
-    """The model itself as a world: the world is the state."""
+    """A model as a world: the world is the state; for a product, that of the stated model."""
 
     model: SSP
     start: FloatArray  # [states]
+    stated: SSP | None = None  # the model of which ``model`` is a product; None: ``model`` itself
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
         """Draw start states of the simulated model."""
         state = rng.choice(self.model.n_states, size=episodes, p=self.start)
-        return state, state
+        return self._stated[0][state], state
 
     def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Simulate one outcome of each pair by inversion."""
-        model, offsets = self.model, self.model.outcome_offsets
+        (seen, costs), offsets = self._stated, self.model.outcome_offsets
         outcome = drawn_in_segments(self._sums, offsets[pair], offsets[pair + 1], rng)
-        successor = model.successors[outcome].astype(np.int64)
-        return successor, successor, model.costs[outcome]
+        successor = self.model.successors[outcome].astype(np.int64)
+        return seen[successor], successor, costs[outcome]
+
+    @cached_property
+    def _stated(self) -> tuple[IntArray, FloatArray]:
+        """State of the stated model for each state, [states], and cost of each outcome."""
+        model, stated = self.model, self.model if self.stated is None else self.stated
+        state: IntArray = np.arange(model.n_states)
+        outcome: IntArray = np.arange(model.n_outcomes)
+        while model is not stated and isinstance(model, ProductSSP):
+            state, outcome = model.original_state[state], model.original_outcome[outcome]
+            model = model.original
+        return state, model.costs[outcome]
 
     @cached_property
     def _sums(self) -> FloatArray:
@@ -208,55 +219,28 @@ class ModelSimulator:
 
 @dataclass(frozen=True, eq=False)
 class _ProductSimulator:
-    """Simulator on a product that counts steps or labels failing, by one on the original."""
+    """A simulator of an original model as one of its product."""
 
     inner: Simulator
     product: ProductSSP
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Start episodes, with no step taken and no failure."""
+        """Start episodes with the product's first memory."""
         world, state = self.inner.reset(episodes, rng)
         return world, self.product.table[state, self.product.first_memory(state)]
 
     def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
-        """Take a step in the world, and update the count or the label."""
+        """Take a step in the world, and update the memory."""
         moved, state, cost = self.inner.step(world, self.product.original_pair[pair], rng)
         _check_simulated_states(self.product.original, state)
         return moved, self.product.moved(pair, state, cost), cost
-
-
-@dataclass(frozen=True, eq=False)
-class _TrackedSimulator(ModelSimulator):
-    """Simulator on a product with automata, with the states of the stated model.
-
-    The automata read outcomes, which states and costs may not determine.
-    """
-
-    seen: IntArray  # [states] of the stated model
-
-    def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Draw start states of the simulated model with automata."""
-        state = super().reset(episodes, rng)[1]
-        return self.seen[state], state
-
-    def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
-        """Simulate one outcome of each pair of the model with automata."""
-        _, successor, cost = super().step(world, pair, rng)
-        return self.seen[successor], successor, cost
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
     """Return a simulator on the model that is solved, given one on the stated model."""
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
-    inner = _on_products(simulator, model.original, stated)
-    if not (isinstance(model, TrackedSSP) and isinstance(inner, ModelSimulator)):
-        return _ProductSimulator(inner, model)
-    begin, start = np.flatnonzero(inner.start), np.zeros(model.n_states)
-    start[model.at(begin, model.first_memory(begin))] = inner.start[begin]
-    original = model.original_state
-    seen = inner.seen[original] if isinstance(inner, _TrackedSimulator) else original
-    return _TrackedSimulator(model, start, seen)
+    return _ProductSimulator(_on_products(simulator, model.original, stated), model)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -356,24 +340,23 @@ def simulate(
     played_by, solved = on_one_model(policy, problem, "simulate")
     if isinstance(simulator, WorldSimulator):
         simulator.check_model(problem.model)
-    asked = solved if isinstance(problem.model, ImplicitSSP) else problem
+    stated = solved.model if isinstance(problem.model, ImplicitSSP) else problem.model
+    taken = pairs_taken(played_by, solved.model) if simulator is None else None
     if simulator is None:
-        simulator = ModelSimulator(asked.model, asked.start_mass)
-    simulator = _on_products(simulator, solved.model, asked.model)
+        world: Simulator = ModelSimulator(solved.model, solved.start_mass, stated)
+    else:
+        world = _on_products(simulator, solved.model, stated)
     source, limits = generator_of(seed), (max_steps, record)
     with progress_shown(verbose):
-        played = _simulate_episodes(played_by, solved, simulator, episodes, source, *limits)
-        dearest = float(solved.model.costs.max(initial=0.0))
-        is_model = isinstance(simulator, ModelSimulator | _ProductSimulator)
-        taken = pairs_taken(played_by, solved.model) if is_model else None
-        most = *greatest_total(solved.model, max_steps, taken), dearest
-        report = simulation_report(solved, played, float(confidence), max_steps, *most)
+        played = _simulate_episodes(played_by, solved, world, episodes, source, *limits)
+        most = greatest_total(solved.model, max_steps, taken)
+        report = _report_of(solved, played, float(confidence), max_steps, *most)
         _LOG.info("%r", report)
     return report
 
 
 @dataclass(frozen=True, eq=False)
-class Played:
+class _Played:
     """Results of simulated episodes."""
 
     mark: IntArray  # [episodes] numbers of graph.end_marks, -1 for unfinished
@@ -392,7 +375,7 @@ def _simulate_episodes(
     rng: np.random.Generator,
     max_steps: int,
     record: int,
-) -> Played:
+) -> _Played:
     """Play the episodes of a simulation side by side."""
     model, marks = problem.model, end_marks(problem.model)
     players = as_lottery(policy).start_many(episodes, rng)
@@ -401,7 +384,7 @@ def _simulate_episodes(
     players.begin(state, marks[state] < 0)
     cost, later, steps = np.zeros(episodes), np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
     gave_up, lost = np.zeros((2, episodes), dtype=np.bool_)
-    charge, charges = np.zeros(episodes), failing_charges(problem)
+    charge, charges = np.zeros(episodes), _failing_charges(problem)
     label, lost_in = model.failure_label, cache(lambda member: lost_situations(member, problem))
     watched = attention_states(model) & (marks < 0)  # elsewhere no policy has lost the goal
     watched &= problem.semantics.give_up is not GiveUp.DEAD_ENDS  # which pays until a dead-end
@@ -441,7 +424,7 @@ def _simulate_episodes(
     history = np.stack(trace)
     paths = tuple(history[: int(steps[i]) + 1, i] for i in range(min(record, episodes)))
     ended = np.where(gave_up, charges[1][state], charges[0][state])
-    return Played(mark, cost, np.where(lost, charge, ended), later, steps, paths)
+    return _Played(mark, cost, np.where(lost, charge, ended), later, steps, paths)
 
 
 def _check_simulated_states(model: SSP, state: IntArray) -> None:
@@ -450,7 +433,7 @@ def _check_simulated_states(model: SSP, state: IntArray) -> None:
         raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
 
 
-def failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:
+def _failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:
     """Return the charges of entering a dead-end, and of giving up or losing the goal, [states]."""
     model, semantics = problem.model, problem.semantics
     entering = entering_charges(model, semantics)
@@ -459,16 +442,10 @@ def failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:
     return entering, state_give_up_charges(model, semantics)
 
 
-def simulation_report(
-    problem: Problem,
-    played: Played,
-    confidence: float,
-    max_steps: int,
-    most: float,
-    is_cut: bool,
-    dearest: float,
+def _report_of(
+    problem: Problem, played: _Played, confidence: float, max_steps: int, most: float, is_cut: bool
 ) -> SimulationReport:
-    """Return the report of the episodes that a simulation played.
+    """Return the report of simulated episodes.
 
     Args:
         problem: problem whose model was played.
@@ -477,13 +454,12 @@ def simulation_report(
         max_steps: steps after which an episode counted as unfinished.
         most: greatest total that an episode can pay in so many steps.
         is_cut: whether more steps would increase the greatest total.
-        dearest: greatest cost of a step.
     """
     names = ["goal", *problem.model.state_labels, "dead_end", "gave_up"]
     ends = {name: int((played.mark == i).sum()) for i, name in enumerate(names)}
     ends["unfinished"] = int((played.mark < 0).sum())
-    reached, charged = played.mark == 0, most + dearest  # failing costs at most a step
-    after = None
+    reached, after = played.mark == 0, None
+    charged = most + float(problem.model.costs.max(initial=0.0))  # failing costs at most a step
     if (label := problem.model.failure_label) is not None:
         later = max_steps * float(label.original.costs.max(initial=0.0))
         after = mean_estimate(played.later, confidence, later)

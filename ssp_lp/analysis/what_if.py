@@ -23,12 +23,11 @@ from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.written_out import OpenEnded
-from ssp_lp.arrays import FloatArray, IntArray, entries_of
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, segment_sums
 from ssp_lp.compiled.deadline import Stop, check_time, is_late, limited, seconds_left
-from ssp_lp.dynamic_programming.equations import System
+from ssp_lp.dynamic_programming.dynamics import leaving_choice
 from ssp_lp.errors import (
     InfeasibleError,
     ModelError,
@@ -50,39 +49,41 @@ from ssp_lp.processes.failure_semantics import (
     survival_of,
 )
 from ssp_lp.processes.live_rows import cost_means, costless_pairs
-from ssp_lp.programs.occupation_measure import OccupationMeasure
+from ssp_lp.programs.occupation_measure import (
+    ROUNDING,
+    OccupationMeasure,
+    StateValues,
+    drawn_chain,
+    shares_of_visits,
+)
 
-_SAME = 1e-9  # relative to the greatest value, or a probability: less is rounding
 _STEP = 1e-5  # to the nearby numbers at which one-sided derivatives are evaluated
 _AGREES = 1e-4  # relative difference of a one-sided derivative and of optima
-_IDENTITY = 1e-6  # relative: worths of outcomes make up the values of their state
+_ACCURACY = 1e-6  # relative: of breakpoints, and of worths of outcomes that make up a value
 _BEYOND = 1e-12  # probability of success beyond the last total that is distinguished
 _FIRST_CAP, _LAST_CAP = 16.0, 5000.0  # of distinguished totals, in greatest costs of a step
 _SHOWN = 15  # rows of the text
-_EDGE = 1e-6  # relative accuracy of a breakpoint
-_FARTHEST = 1e3  # greatest step of a number without an end of its own
+_FARTHEST = 1e3  # greatest step of a number that may move without limit
 
 
-def _added(*parts: Mapping[Any, float]) -> dict[Any, float]:
-    """Return the sum of vectors given by their nonzero entries."""
-    total = dict[Any, float]()
-    for part in parts:
-        for key, value in part.items():
-            total[key] = total.get(key, 0.0) + value
-    return total
+def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, float]:
+    """Return the sum of two vectors given by their nonzero entries."""
+    return {key: one.get(key, 0.0) + other.get(key, 0.0) for key in (*one, *other)}
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
     """A direction in which numbers of a problem move: the change of each per unit of the step."""
 
-    probabilities: Mapping[int, float] = field(default_factory=dict)  # by outcome; sum 0 a pair
+    probabilities: Mapping[int, float] = field(
+        default_factory=dict
+    )  # by outcome; of each pair the sum is 0
     costs: Mapping[tuple[str, int], float] = field(default_factory=dict)  # by name and outcome
     bounds: Mapping[str, float] = field(default_factory=dict)  # by name of the row, or "penalty"
     start: Mapping[int, float] = field(default_factory=dict)  # by state; sum 0
 
     def __add__(self, other: Change) -> Change:
-        """Return both changes together."""
+        """Return the sum of two changes."""
         return Change(
             _added(self.probabilities, other.probabilities),
             _added(self.costs, other.costs),
@@ -110,8 +111,8 @@ class Change:
         if FAILURE_ROW in self.bounds:
             stated["failure_budget"] = problem.failure_budget + step * self.bounds[FAILURE_ROW]  # type: ignore[operator]
         limits = dict(problem.constraints)
-        for name, limit in problem.constraints.items():
-            slope = step * self.bounds.get(name, 0.0)
+        for name in limits.keys() & self.bounds.keys():
+            limit, slope = limits[name], step * self.bounds[name]
             lower = None if limit.lower is None else limit.lower + slope
             upper = None if limit.upper is None else limit.upper + slope
             limits[name] = replace(limit, lower=lower, upper=upper)
@@ -136,11 +137,11 @@ class Number:
     kind: str  # "probability", "cost", "bound", "start", "parameter" or "group"
     name: str
     value: float | None  # None: of a group
-    change: Change = field(repr=False)  # when it rises; for a probability the others fall
+    change: Change = field(repr=False)  # per unit by which it rises; other probabilities fall
     state: Hashable = None
     action: Hashable = None
     successor: Hashable = None
-    is_rest: bool = False  # the likelier of two outcomes: minus the derivative of the other
+    is_rest: bool = False  # the likelier of two outcomes, whose derivative is minus the other's
 
     @property
     def scale(self) -> float:
@@ -196,20 +197,15 @@ class _Optimum:
         """
         solved = problem.unrolled
         if not solved.ratio:
-            return cls(solved, _at_vertex(_solved_in_time(solved)))
+            return cls(solved, _vertex_in_time(solved))
         most = max(float(solved.model.costs.max(initial=0.0)), 1.0)
         size = _FIRST_CAP
         while size <= _LAST_CAP:
-            measure = _solved_in_time(solved.with_arguments(cost_cap=size * most))
+            measure = _vertex_in_time(solved.with_arguments(cost_cap=size * most))
             if measure.beyond <= _BEYOND:
-                return cls(solved, _at_vertex(measure))
+                return cls(solved, measure)
             size *= 2.0
         raise SolverError("too many total costs for derivatives of a cost given success")
-
-    @cached_property
-    def objective(self) -> float:
-        """Optimal value."""
-        return self.measure.objective
 
     @cached_property
     def scale(self) -> float:
@@ -219,15 +215,31 @@ class _Optimum:
         goal = float(program.process.goal @ self.measure.visits) if program.ratio else 1.0
         return sign / goal
 
+    @property
+    def duals(self) -> StateValues:
+        """Duals of the program's balance."""
+        return cast("StateValues", self.measure.values)
+
     @cached_property
     def values(self) -> FloatArray:
         """Value of each node at each total, nan if no run reaches it, [copies * nodes]."""
-        augmented, found = self.measure.program.augmented, self.measure.values
-        if found is None:
-            raise SolverError("the program has no dual values")
+        augmented = self.measure.program.augmented
         every = np.full(augmented.copies * augmented.quotient.n_nodes + 1, np.nan)
-        every[augmented.part.states] = found.states
+        every[augmented.part.states] = self.duals.states
         return every
+
+    @cached_property
+    def size(self) -> float:
+        """One more than the greatest absolute value, to which rounding is relative."""
+        return 1.0 + float(np.nanmax(np.abs(self.values)))
+
+    @cached_property
+    def best(self) -> BoolArray:
+        """Whether a column is optimal in a state that is visited, [pairs]."""
+        process = self.measure.program.process
+        often = np.bincount(process.pair_state, self.measure.visits, process.n_states)
+        is_optimal = self.duals.reduced_costs <= ROUNDING * self.size
+        return np.asarray((often > ROUNDING)[process.pair_state] & is_optimal)
 
     @cached_property
     def rows(self) -> list[tuple[float, UpperRow]]:
@@ -243,7 +255,7 @@ class _Optimum:
 
     @cached_property
     def paid(self) -> list[tuple[float, SSP]]:
-        """Step costs that count: a weight, and a model that has this cost as its own, for each."""
+        """Step costs that count, each as a weight and a model whose own cost it is."""
         model, semantics = self.problem.model, self.problem.semantics
         counts = not self.problem.ratio and semantics.aim is Aim.LEAST_COST
         own = [(1.0, model)] if counts else []
@@ -252,7 +264,7 @@ class _Optimum:
 
     @cached_property
     def failing(self) -> float:
-        """Price of failing: of the budget, and the penalty."""
+        """Price of failing: the price of the budget plus the penalty."""
         semantics = self.problem.semantics
         if semantics.aim is Aim.GREATEST_GOAL:
             return 1.0
@@ -265,7 +277,7 @@ class _Optimum:
         quotient = self.measure.program.augmented.quotient
         model, goal, dead = self.problem.model, self.problem.model.goal_mask, quotient.dead
         ended, entering, leak = quotient.node_of < 0, np.zeros(model.n_states), self.failing
-        ratio = self.objective if self.problem.ratio else 0.0
+        ratio = self.measure.objective if self.problem.ratio else 0.0
         entering += self.failing * dead - ratio * goal
         for weight, costs in self.paid:
             entering += weight * dead_end_charges(costs, dead, self.problem.semantics)
@@ -290,6 +302,10 @@ class _Optimum:
         Returns:
             Column, outcome, place among ``values`` of the successor (-1: an end), and worth of
             each, [entries].
+
+        Raises:
+            ModelError: the worths do not sum to the values of their states, so that an unknown
+                quantity counts.
         """
         augmented, model = self.measure.program.augmented, self.problem.model
         quotient, survival = augmented.quotient, survival_of(self.problem.discount)
@@ -302,11 +318,11 @@ class _Optimum:
         each = np.repeat(np.arange(len(own)), np.diff(model.outcome_offsets)[pair])
         successor = model.successors[outcome]
         node = quotient.node_of[successor]
-        then: IntArray = np.zeros(len(each), dtype=np.int64)
         entering, leak = self.ends
         worth = survival * entering[successor]
         for weight, costs in self.paid:
             worth += weight * costs.costs[outcome]
+        then: IntArray = np.zeros(len(each), dtype=np.int64)
         if isinstance(augmented.inner, OpenEnded):
             ahead = augmented.inner.base.step_classes.ahead
             kinds, kind = np.unique(ahead, return_inverse=True)
@@ -316,26 +332,16 @@ class _Optimum:
                 worth += np.where(model.goal_mask[successor], total, 0.0)
         place = np.where(node >= 0, then * quotient.n_nodes + node, -1)
         worth = worth + np.where(place >= 0, survival * self.values[place], 0.0)
-        self._check(own, copy, each, model.probabilities[outcome] * worth, (1 - survival) * leak)
-        return own[each], outcome, place, worth
-
-    def _check(
-        self, own: IntArray, copy: IntArray, each: IntArray, parts: FloatArray, leak: float
-    ) -> None:
-        """Check that the worths of outcomes sum to the values of their states.
-
-        Raises:
-            ModelError: they do not, so that an unknown quantity counts.
-        """
-        found, augmented = self.measure.values, self.measure.program.augmented
-        process = self.measure.program.process
-        after = np.bincount(each, np.nan_to_num(parts), len(own)) + leak
-        value = (found.states[process.pair_state] + found.reduced_costs)[own]  # type: ignore[union-attr]
-        wrong = np.abs(after - value) > _IDENTITY * (1.0 + np.abs(value).max(initial=0.0))
+        parts = np.nan_to_num(model.probabilities[outcome] * worth)
+        after = np.bincount(each, parts, len(own)) + (1 - survival) * leak
+        state = self.measure.program.process.pair_state[own]
+        value = self.duals.states[state] + self.duals.reduced_costs[own]
+        wrong = np.abs(after - value) > _ACCURACY * (1.0 + np.abs(value).max(initial=0.0))
         wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
         if wrong.any():
             label = self.measure.program.label(int(own[np.argmax(wrong)]))
             raise ModelError(f"no derivatives: {label} costs more than its outcomes")
+        return own[each], outcome, place, worth
 
     @cached_property
     def by_probability(self) -> FloatArray:
@@ -376,26 +382,20 @@ class _Optimum:
     def _name_of(self, costs: SSP) -> str | None:
         """Return the problem's name for the cost that another model counts, or None."""
         by_name = self.problem.model.costs_by_name.items()
-        same = (name for name, each in by_name if each is costs.costs)
-        own = next(iter(self.problem.model.costs_by_name))
-        is_own = costs is self.problem.model
-        return own if is_own else next(same, None)
+        return next((name for name, each in by_name if each is costs.costs), None)
 
     @cached_property
     def _met_on_the_way_to_success(self) -> FloatArray:
         """Expected count of each outcome in runs that succeed later, in case S, [outcomes]."""
         model, (column, outcome, place, _) = self.problem.model, self.outcomes
         process, visits = self.measure.program.process, self.measure.visits
-        survival, states = survival_of(self.problem.discount), process.n_states
-        outflow = np.bincount(process.pair_state, visits, states)[process.pair_state]
-        share = np.divide(visits, outflow, out=np.zeros_like(visits), where=outflow > 0.0)
-        pick = sp.csr_array((share, (process.pair_state, np.arange(process.n_pairs))),
-                            shape=(states, process.n_pairs))  # fmt: skip
-        exits = np.where(pick.sum(axis=1) > 0.0, pick @ process.dynamics.exits, 1.0)
-        chain = System(sp.csr_array(pick @ process.transitions), exits)
+        survival = survival_of(self.problem.discount)
+        unseen = segment_sums(visits, process.pair_offsets) <= 0.0
+        leaving = leaving_choice(process.dynamics, process.goal)
+        draws, chain = drawn_chain(process, shares_of_visits(process, visits, unseen, leaving))
         success = np.zeros_like(self.values)
         part = self.measure.program.augmented.part
-        success[part.states] = chain.solve(pick @ process.goal / survival)
+        success[part.states] = chain.solve(draws @ process.goal / survival)
         reached = np.where(place >= 0, survival * success[place], 0.0)
         reached[model.goal_mask[model.successors[outcome]]] = 1.0
         often = visits[column] * model.probabilities[outcome] * reached
@@ -484,8 +484,10 @@ class _Optimum:
     @cached_property
     def support(self) -> frozenset[Hashable]:
         """Used columns, by their numbers among all copies, and rows with a price."""
-        pairs = self.measure.program.augmented.part.pairs[self.measure.visits > _SAME]
-        return frozenset(pairs.tolist()) | {n for n, y in self.measure.prices.items() if y > _SAME}
+        pairs = self.measure.program.augmented.part.pairs[self.measure.visits > ROUNDING]
+        return frozenset(pairs.tolist()) | {
+            n for n, y in self.measure.prices.items() if y > ROUNDING
+        }
 
     @cached_property
     def is_unique(self) -> bool:
@@ -495,16 +497,13 @@ class _Optimum:
         pairs as visited states and rows with a price together, if every tight row has a price, and
         if no charge of failing is attained by two actions.
         """
-        measure, process = self.measure, self.measure.program.process
-        scale = 1.0 + float(np.nanmax(np.abs(self.values)))
-        here = np.bincount(process.pair_state, measure.visits, process.n_states) > _SAME
-        best = measure.values.reduced_costs <= _SAME * scale  # type: ignore[union-attr]
-        best &= here[process.pair_state]
-        priced = sum(price > _SAME * scale for price in measure.prices.values())
-        met = sum(abs(measure.slack[row.name]) <= _SAME * (1.0 + abs(row.bound))
+        measure, best = self.measure, self.best
+        priced = sum(price > ROUNDING * self.size for price in measure.prices.values())
+        met = sum(abs(measure.slack[row.name]) <= ROUNDING * (1.0 + abs(row.bound))
                   for row in measure.program.rows)  # fmt: skip
-        unused = (best & (measure.visits <= _SAME)).any()
-        more = int(best.sum() - here.sum()) != priced
+        visited = np.unique(measure.program.process.pair_state[best])
+        unused = (best & (measure.visits <= ROUNDING)).any()
+        more = int(best.sum()) - visited.size != priced
         return not (unused or more or met != priced or self._charges_tie)
 
     @property
@@ -514,20 +513,18 @@ class _Optimum:
         for _, costs, _, some in self.charged:
             pair = int(np.searchsorted(model.outcome_offsets, some.start, side="right")) - 1
             mean = means[id(costs)][model.pairs_of(int(model.pair_state[pair]))]
-            if (np.abs(mean - means[id(costs)][pair]) <= _SAME * (1.0 + mean.max())).sum() > 1:
+            if (np.abs(mean - means[id(costs)][pair]) <= ROUNDING * (1.0 + mean.max())).sum() > 1:
                 return True
         return False
 
-    @cached_property
-    def chooses_among_safest(self) -> bool:
-        """Whether a visited state has two actions that attain the least failure."""
-        program = self.measure.program
-        acting = np.diff(program.process.pair_offsets)[program.process.pair_state] > 1
-        return program.at_least and bool((self.measure.visits[acting] > _SAME).any())
 
+def _vertex_in_time(problem: Problem) -> OccupationMeasure:
+    """Solve a problem's program at a vertex, whose prices are exact.
 
-def _solved_in_time(problem: Problem) -> OccupationMeasure:
-    """Solve a problem's program; :class:`Stop` if the deadline of the call passes before."""
+    Raises:
+        SolverError: the optimum that was found is not a vertex.
+        Stop: the deadline of the call has passed.
+    """
     check_time()
     try:
         measure: OccupationMeasure = problem.program().solve(time_limit=seconds_left())
@@ -535,11 +532,6 @@ def _solved_in_time(problem: Problem) -> OccupationMeasure:
         if is_late():
             raise Stop from error
         raise
-    return measure
-
-
-def _at_vertex(measure: OccupationMeasure) -> OccupationMeasure:
-    """Return an optimum whose prices are exact; :class:`SolverError` if it is not a vertex."""
     if (measure.reduced or measure).basis is None:
         check_time()  # the limit may have cut the solver short of a vertex
         raise SolverError("the program was solved by interior points alone, whose prices are rough")
@@ -583,24 +575,22 @@ class WhatIf(Report):
             return Effect(number, slope, slope, "slope if the lottery does not change")
         ends = [change.most(self.problem, sign) for sign in (-1.0, 1.0)]
         is_unique, slope = self.optimum.is_unique, self.optimum.along(change)
-        if is_unique and min(ends) > 0.0 and np.isfinite(slope) and not self._at_least_by_budget:
+        at_least = self.optimum.measure.program.at_least and self.problem.failure_budget is not None
+        if is_unique and min(ends) > 0.0 and np.isfinite(slope) and not at_least:
             return Effect(number, slope, slope)
         (left, why), (right, also) = (self._side(change, sign) for sign in (-1.0, 1.0))
         return Effect(number, left, right, "; ".join(dict.fromkeys(filter(None, (why, also)))))
-
-    @property
-    def _at_least_by_budget(self) -> bool:
-        """Whether the failure budget is the least failure."""
-        return self.optimum.measure.program.at_least and self.problem.failure_budget is not None
 
     def _refused(self, change: Change) -> str:
         """Return the reason why the optimum has no derivative in a direction, or empty."""
         problem, model = self.problem, self.problem.model
         if (change.probabilities or change.start) and problem.reach_fraction is not None:
             return "the budget changes as well, with the greatest goal probability"
-        of_budget = problem.failure_budget is None
-        if change.probabilities and of_budget and self.optimum.chooses_among_safest:
-            return "two actions are equally safe: the least failure decides between them"
+        measure, program = self.optimum.measure, self.optimum.measure.program
+        if change.probabilities and problem.failure_budget is None and program.at_least:
+            acting = np.diff(program.process.pair_offsets)[program.process.pair_state] > 1
+            if (measure.visits[acting] > ROUNDING).any():
+                return "two actions are equally safe: the least failure decides between them"
         costs = model.costs_by_name
         rises = any(s > 0.0 == model.probabilities[k] for k, s in change.probabilities.items())
         rises |= any(s > 0.0 == costs[name][k] for (name, k), s in change.costs.items())
@@ -629,8 +619,8 @@ class WhatIf(Report):
             return None, f"{side}: {error}"
         slope = 3.0 * (slopes[0] - slopes[1]) + slopes[2]  # a parabola through them, at 0
         bend = abs(slopes[1] - slopes[0])
-        between = (far.objective - near.objective) / step
-        before = (near.objective - self.optimum.objective) / step
+        between = (far.measure.objective - near.measure.objective) / step
+        before = (near.measure.objective - self.optimum.measure.objective) / step
         room = _AGREES * (1.0 + abs(slope)) + bend
         if abs(between - (slopes[0] + slopes[1]) / 2.0) > room or abs(before - slope) > room:
             return None, f"{side}: the derivative disagrees with optima nearby"
@@ -673,7 +663,7 @@ class WhatIf(Report):
         low, high = 0.0, min(_STEP, end)
         while high < end and stays(high):
             low, high = high, min(2.0 * high, end)
-        while high - low > max(_EDGE * high, _EDGE * _STEP):
+        while high - low > max(_ACCURACY * high, _ACCURACY * _STEP):
             middle = (low + high) / 2.0
             low, high = (middle, high) if stays(middle) else (low, middle)
         return high if high == end else low
@@ -691,7 +681,7 @@ class WhatIf(Report):
         hidden = (*head[7:], *(("left", "right") if smooth else ()),
                   *(() if any(row[6] for row in rows[:_SHOWN]) else ("note",)))  # fmt: skip
         more = [f"and {len(rows) - _SHOWN:,} more: to_frame() has all"] * (len(rows) > _SHOWN)
-        title = f"the optimum {self.optimum.objective:.9g} moves with each number by"
+        title = f"the optimum {self.optimum.measure.objective:.9g} moves with each number by"
         return [Table(rows, head, title, more, shown=range(min(len(rows), _SHOWN)), hidden=hidden)]
 
     def plot(self, *, share: float = 0.1, most: int = 12, ax: Any = None) -> Any:
@@ -731,23 +721,25 @@ def what_if(
 
 
 def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None) -> list[Number]:
-    """Return numbers as grouped by ``by``; None: each alone, without those that ``is_rest``."""
+    """Return numbers in the groups of ``by``; None: each alone, without the likelier of two."""
     if by is None:
         return [number for number in numbers if not number.is_rest]
     groups = dict[Hashable, list[Number]]()
     for number in numbers:
         if (key := by(number)) is not None:
             groups.setdefault(key, []).append(number)
-    return [_together(str(key), some) for key, some in groups.items()]
+    return [
+        Number("group", str(key), _common_value(some), sum((n.change for n in some), Change()))
+        if len(some) > 1
+        else replace(some[0], name=str(key))
+        for key, some in groups.items()
+    ]
 
 
-def _together(name: str, numbers: list[Number]) -> Number:
-    """Return several numbers as one, all of which rise by the same step."""
-    if len(numbers) == 1:
-        return replace(numbers[0], name=name)
+def _common_value(numbers: list[Number]) -> float | None:
+    """Return the value that all numbers have, or None."""
     values = {number.value for number in numbers}
-    value = values.pop() if len(values) == 1 else None
-    return Number("group", name, value, sum((n.change for n in numbers), start=Change()))
+    return values.pop() if len(values) == 1 else None
 
 
 def _check_criterion(problem: Problem) -> None:
@@ -787,20 +779,15 @@ def _numbers(problem: Problem, optimum: _Optimum) -> Iterator[Number]:
         name, at = f"start in {model.states[state]}", float(start[state])
         yield Number("start", name, at, change, model.states[state])
     for pair in _optimal_pairs(optimum).tolist():
-        yield from _chances_of_pair(model, pair)
-        yield from _costs_of_pair(model, pair, optimum)
+        yield from _numbers_of_pair(model, pair, optimum)
 
 
 def _optimal_pairs(optimum: _Optimum) -> IntArray:
     """Return the stated model's pairs that are optimal in a visited state, or charged."""
-    measure, model = optimum.measure, optimum.problem.model
-    process, (column, outcome, _, _) = measure.program.process, optimum.outcomes
-    here = np.bincount(process.pair_state, measure.visits, process.n_states) > _SAME
-    scale = 1.0 + float(np.nanmax(np.abs(optimum.values)))
-    best = here[process.pair_state] & (
-        measure.values.reduced_costs <= _SAME * scale)  # type: ignore[union-attr]  # fmt: skip
+    column, outcome, _, _ = optimum.outcomes
     charged = [np.arange(some.start, some.stop) for *_, some in optimum.charged]
-    used = np.concatenate([outcome[best[column]], *charged]).astype(np.int64)
+    used = np.concatenate([outcome[optimum.best[column]], *charged]).astype(np.int64)
+    model = optimum.problem.model
     if (counting := optimum.counting_steps) is not None:
         used = counting.original_outcome[used].astype(np.int64)
         model = counting.original
@@ -814,37 +801,30 @@ def _in_proportion(shares: FloatArray, places: list[int], place: int) -> dict[in
     return {place: 1.0, **paid}
 
 
-def _outcomes_of(model: SSP, pair: int) -> list[int]:
-    """Return the outcomes of a pair."""
-    return [*range(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))]
+def _numbers_of_pair(model: SSP, pair: int, optimum: _Optimum) -> Iterator[Number]:
+    """Yield the probabilities of a pair's outcomes, and their costs that count.
 
-
-def _chances_of_pair(model: SSP, pair: int) -> Iterator[Number]:
-    """Yield the probabilities of a pair's outcomes."""
-    outcomes, chances = _outcomes_of(model, pair), model.probabilities
+    Costs are one number if all outcomes cost the same.
+    """
+    outcomes = [*range(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))]
     state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)
+    chances, successors = model.probabilities, model.successors
     for k in outcomes:
         if 0.0 < chances[k] < 1.0:
-            successor = model.states[int(model.successors[k])]
-            change = Change(probabilities=_in_proportion(chances, outcomes, k))
-            name = f"chance of {successor} by {action} in {state}"
-            at, possible = float(chances[k]), [*change.probabilities]  # it comes first
-            rest = len(possible) == 2 and (at, k) > (chances[possible[1]], possible[1])
-            yield Number("probability", name, at, change, state, action, successor, bool(rest))
-
-
-def _costs_of_pair(model: SSP, pair: int, optimum: _Optimum) -> Iterator[Number]:
-    """Yield the costs of a pair's outcomes that count; one if all outcomes cost the same."""
-    outcomes = _outcomes_of(model, pair)
-    state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)
+            to, change = model.states[int(successors[k])], _in_proportion(chances, outcomes, k)
+            name, at = f"chance of {to} by {action} in {state}", float(chances[k])
+            others = [other for other in change if other != k]
+            rest = len(others) == 1 and (at, k) > (chances[others[0]], others[0])
+            moved = Change(probabilities=change)
+            yield Number("probability", name, at, moved, state, action, to, bool(rest))
     for cost, costs in model.costs_by_name.items():
         if not optimum.counts_cost[cost]:
             continue
         word = f"{cost} of {action} in {state}"
         if np.ptp(costs[outcomes]) == 0.0:
-            change = Change(costs={(cost, k): 1.0 for k in outcomes})
-            yield Number("cost", word, float(costs[outcomes[0]]), change, state, action)
+            moved = Change(costs={(cost, k): 1.0 for k in outcomes})
+            yield Number("cost", word, float(costs[outcomes[0]]), moved, state, action)
             continue
         for k in outcomes:
-            to, change = model.states[int(model.successors[k])], Change(costs={(cost, k): 1.0})
-            yield Number("cost", f"{word} to {to}", float(costs[k]), change, state, action, to)
+            to, moved = model.states[int(successors[k])], Change(costs={(cost, k): 1.0})
+            yield Number("cost", f"{word} to {to}", float(costs[k]), moved, state, action, to)

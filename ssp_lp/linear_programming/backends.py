@@ -18,13 +18,12 @@ import numpy as np
 from ssp_lp.arrays import RESIDUAL, BoolArray
 from ssp_lp.compiled.deadline import Stop, check_time, is_late, until
 from ssp_lp.errors import ModelError, SolverError
-from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, answer_faults
+from ssp_lp.linear_programming.linear_program import POLL, LinearProgram, LPAnswer, answer_faults
 from ssp_lp.options import BACKENDS
 
 _SIMPLEX = (None, "highs", "highs-simplex")  # backends that accept a first basis
 _SIMPLEX_COLUMNS = 3_000  # with more columns, IPX is much faster on these programs
 _SIMPLEX_AT_LAST = 50_000  # most columns for simplex as the last resort
-_LOOK = 0.05  # seconds between two checks of the time while a solver works
 _LARGE = 300_000  # entries of a program from which on it is solved in another process
 _SERVED = """
 import os, pickle, sys, threading, time
@@ -173,7 +172,7 @@ def run_backend(
                 while reply is None:
                     check_time()
                     with suppress(subprocess.TimeoutExpired):
-                        reply = beside.communicate(timeout=_LOOK)[0]
+                        reply = beside.communicate(timeout=POLL)[0]
             finally:
                 beside.kill()
     if not reply:

@@ -15,13 +15,12 @@ from tempfile import TemporaryDirectory
 import highspy
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.arrays import RESIDUAL, BoolArray, FloatArray
 from ssp_lp.errors import ModelError, SolverError
-from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
+from ssp_lp.linear_programming.linear_program import POLL, LinearProgram, LPAnswer
 
 HighsOptions = dict[str, bool | int | float | str]
 
-_SOLVERS = {"highs-simplex": "simplex", "highs-ipx": "ipx"}
 _DOUBTED = (
     highspy.HighsModelStatus.kUnbounded,
     highspy.HighsModelStatus.kUnboundedOrInfeasible,
@@ -29,8 +28,6 @@ _DOUBTED = (
     highspy.HighsModelStatus.kInfeasible,
 )
 _BASIC, _NONBASIC = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kNonbasic
-_POLL = 0.1  # seconds between two checks whether HiGHS has ended
-_BROKEN = 1e-6  # violation of a row from which on an optimal answer is doubted
 _NUMBERED = "x"  # prefix of a column's number, with which its name begins
 ENDINGS = (".mps", ".lp", ".mps.gz", ".lp.gz")
 
@@ -93,7 +90,7 @@ def _solved_by_highs(
     calls some feasible programs infeasible.
     """
     options: HighsOptions = {
-        "solver": _SOLVERS[backend],
+        "solver": backend.removeprefix("highs-"),
         "primal_feasibility_tolerance": 1e-10,
         "dual_feasibility_tolerance": 1e-10,
         "small_matrix_value": 1e-12,  # smaller entries are dropped; the least value allowed
@@ -112,7 +109,7 @@ def _solved_by_highs(
     run_highs(solver)
     status, broken = solver.getModelStatus(), solver.getInfo().max_primal_infeasibility
     is_optimal = status == highspy.HighsModelStatus.kOptimal
-    if basis is None and (broken > _BROKEN if is_optimal else status in _DOUBTED):
+    if basis is None and (broken > RESIDUAL if is_optimal else status in _DOUBTED):
         solver.setOptionValue("presolve", "off")
         solver.clearSolver()
         run_highs(solver)
@@ -162,7 +159,7 @@ def _run_beside(solver: highspy.Highs) -> highspy.HighsStatus | None:
     """Run HiGHS in a separate thread and return its status."""
     solver.startSolve()
     try:
-        while not (ended := solver.wait(_POLL))[0]:
+        while not (ended := solver.wait(POLL))[0]:
             pass
     except KeyboardInterrupt:
         solver.cancelSolve()  # type: ignore[no-untyped-call]

@@ -14,6 +14,9 @@ from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import is_number, wrong_argument
 from ssp_lp.model.report import Table
 
+POLL = 0.1
+"""Seconds between two checks whether a solver has ended."""
+
 _WIDEST = 100  # most characters in a line of a table
 _MOST = 12  # most columns, and rows, of a program printed in full
 
@@ -50,7 +53,7 @@ class LinearProgram:
 
 @dataclass(frozen=True, eq=False)
 class LPAnswer:
-    """Primal and dual values; a row's dual is d objective / d right side."""
+    """Primal and dual values; a row's dual is the objective's derivative by its right side."""
 
     backend: str
     x: FloatArray  # [columns]
@@ -138,53 +141,43 @@ def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]
     return table if max(map(len, table.lines())) <= _WIDEST else None
 
 
-def as_latex(
-    program: LinearProgram, columns: Sequence[str], rows: Sequence[str], *, scaled: bool
-) -> str:
-    """Return a program in full in LaTeX: objective and rows as sums over their columns.
+def as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]], *, scaled: bool) -> str:
+    """Return a program in LaTeX, as aligned equations.
+
+    Args:
+        verb: minimise or maximise.
+        aim: the objective in LaTeX.
+        rows: names, and rows in LaTeX.
+        scaled: whether the scale t is a variable as well.
+    """
+    lines = [rf"\{verb[:3]}_{_SIGNS[scaled]} \quad & {aim}"]
+    lines += [rf"& {row} && \text{{{_latex_text(name)}}}" for name, row in rows]
+    body = " \\\\\n".join(lines)
+    return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
+
+
+def sums_as_latex(program: LinearProgram, columns: Sequence[str], *, scaled: bool) -> list[str]:
+    """Return the objective of a program and its rows in LaTeX, as sums over their columns.
 
     Args:
         program: the program.
         columns: names.
-        rows: names.
         scaled: whether the last column is the scale t.
     """
     symbols = [rf"x_{{\text{{{_latex_text(name)}}}}}" for name in columns]
     symbols[-1:] = ["t"] if scaled else symbols[-1:]
-    lines = [rf"\min_{_SIGNS[scaled]} \quad & {_sum_of(program.cost, symbols)}"]
-    for taken, name, (relation, bound) in zip(
-        program.matrix.toarray(), rows, program.sides, strict=True
-    ):
-        row = f"{_sum_of(taken, symbols)} {_RELATIONS[relation]} {bound:g}"
-        lines.append(rf"& {row} && \text{{{_latex_text(name)}}}")
-    return _aligned(lines)
+    rows = zip(program.matrix.toarray(), program.sides, strict=True)
+    return [
+        _sum_of(program.cost, symbols),
+        *(f"{_sum_of(row, symbols)} {_RELATIONS[sign]} {bound:g}" for row, (sign, bound) in rows),
+    ]
 
 
-def words_as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]], *, scaled: bool) -> str:
-    """Return a program stated in words in LaTeX, with ``<cost, x>`` as an inner product.
-
-    Args:
-        verb: minimise or maximise.
-        aim: the objective in words.
-        rows: names, and rows in words.
-        scaled: whether the scale t is a variable as well.
-    """
-    lines = [rf"\{verb[:3]}_{_SIGNS[scaled]} \quad & {_products(aim)}"]
-    lines += [rf"& {_products(words)} && \text{{{_latex_text(name)}}}" for name, words in rows]
-    return _aligned(lines)
-
-
-def _products(words: str) -> str:
-    """Return a row in words as LaTeX, with inner products and relations."""
+def words_as_latex(words: str) -> str:
+    """Return an objective or a row in words as LaTeX, with ``<cost, x>`` as an inner product."""
     text = re.sub(r"<(.*?), x>", r"\\langle \\text{\1}, x \\rangle", _latex_text(words))
     text = re.sub(r"= (t )?start$", r"= \1\\text{start}", text)
     return re.sub(r" t$", r" \\, t", text.replace(" <= ", r" \le "))
-
-
-def _aligned(lines: list[str]) -> str:
-    """Return lines of equations in LaTeX, aligned."""
-    body = " \\\\\n".join(lines)
-    return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
 
 def _latex_text(text: str) -> str:

@@ -388,7 +388,7 @@ def plot_tornado(
              else e.number.name for e in drawn]  # fmt: skip
     ax.set_yticks(places, names)
     ax.axvline(0.0, color=INK, linewidth=1.0)
-    dress_axes(ax, f"change of the optimum {effects.optimum.objective:.6g}", "")
+    dress_axes(ax, f"change of the optimum {effects.optimum.measure.objective:.6g}", "")
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
     return ax
 

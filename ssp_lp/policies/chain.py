@@ -30,17 +30,17 @@ from ssp_lp.policies.table import Decisions, Member, PolicyTable
 _Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
 
 _MOST_KEYS = 2_000_000_000
-_MANY_ROUNDS = 64  # of a few nodes each: then all possible nodes are searched at once,
-_PAIRS_IN_ROUND = 6_000  # if that takes as long as the rounds so far, in memories times pairs
-_FEW_NODES = 1_000_000  # memories times pairs that are searched as fast as many rounds
+_MANY_ROUNDS = 64  # least number of rounds after which all possible nodes are searched at once
+_PAIRS_IN_ROUND = 6_000  # memories times pairs that are searched in the time of one round
+_FEW_NODES = 1_000_000  # most memories times pairs that are searched at once
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
     """The part of a policy's chain that is reached from the start, sorted by memory and state.
 
-    Nodes at goals and dead-ends and decisions to give up end it. ``move`` has each node's steps
-    once per outcome, so that costs stay attached to their outcomes.
+    It ends at goals, in dead-ends and when the policy gives up. A branch is a possible decision at
+    a node; a move is one outcome of a branch, so that costs stay attached to their outcomes.
     """
 
     model: SSP
@@ -53,7 +53,7 @@ class Chain:
     target: IntArray  # [moves] node
     probability: FloatArray  # [moves]
     cost: FloatArray  # [moves]
-    outcome: IntArray  # [moves] of the model, to exchange the costs
+    outcome: IntArray  # [moves] of the model, for other costs of the same outcomes
     branch_node: IntArray  # [branches]
     branch_pair: IntArray  # [branches] pair or GIVE_UP_CODE
     branch_probability: FloatArray  # [branches]
@@ -148,33 +148,29 @@ class Chain:
         everywhere = np.ones(self.n_nodes, dtype=np.bool_)
         return self._system(everywhere, survival)[1].solve_transposed(self.start)
 
+    def flows(self, survival: float = 1.0) -> FloatArray:
+        """Return the expected number of times that each branch is taken, [branches].
+
+        Raises:
+            ModelError: as in :meth:`visits`.
+        """
+        return self.visits(survival)[self.branch_node] * self.branch_probability
+
     def _system(self, inside: BoolArray, survival: float) -> tuple[IntArray, System]:
         """Return the equations of the chain's moves within some nodes, cached for other rewards."""
         key = survival, inside.tobytes()
         if key not in self._systems:
-            nodes = np.flatnonzero(inside)
-            self._systems[key] = nodes, System(*self._equations(nodes, inside, survival))
+            some = np.flatnonzero(inside)
+            rows = self.matrix if some.size == self.n_nodes else self.matrix[some]
+            own = sp.csr_array(rows[:, some] * survival)
+            ending = (self.goal + self.dead)[some] > 0.0
+            leaving = (1.0 - survival) + survival * self.give_up[some]
+            leaving += rows @ np.where(inside, 0.0, survival)
+            self._systems[key] = some, System(own, np.where(ending, 1.0, leaving))
         return self._systems[key]
 
-    def _equations(
-        self, some: IntArray, inside: BoolArray, survival: float
-    ) -> tuple[sp.csr_array, FloatArray]:
-        """Return rows of the chain's equations within some nodes, and the flow out of them by each.
-
-        Args:
-            some: nodes of the rows, of those within, ascending.
-            inside: [nodes].
-            survival: factor of every move.
-        """
-        rows = self.matrix if some.size == self.n_nodes else self.matrix[some]
-        own = sp.csr_array(rows[:, np.flatnonzero(inside)] * survival)
-        ending = (self.goal + self.dead)[some] > 0.0
-        moving = (1.0 - survival) + survival * self.give_up[some]
-        moving += rows @ np.where(inside, 0.0, survival)
-        return own, np.where(ending, 1.0, moving)
-
     def decisions(self) -> Decisions:
-        """Return the decisions of the policy's chain, in the order in which runs may reach them."""
+        """Return the decisions of the policy's chain, those nearest to the start first."""
         begins = sp.csr_array((self.start[None, :] > 0.0).astype(np.float64))
         edges = sp.vstack([sp.hstack([self.matrix, sp.csr_array((self.n_nodes, 1))]),
                            sp.hstack([begins, sp.csr_array((1, 1))])], format="csr")  # fmt: skip
@@ -319,18 +315,17 @@ def _expand_chain(
     acting = ~ended[state]
     keys, memory, state = keys[acting], memory[acting], state[acting]
     branch = policy.branches(state, memory)
-    moves = branch.pair >= 0
-    situation, pair = branch.situation[moves], branch.pair[moves]
-    kept = memory[situation] if branch.memory is None else branch.memory[moves]
-    outcome, count = entries_of(model.outcome_offsets, pair)
-    chance = np.repeat(branch.probability[moves], count) * model.probabilities[outcome]
-    situation, outcome = np.repeat(situation, count)[chance > 0], outcome[chance > 0]
-    kept = np.repeat(kept, count)[chance > 0]
-    taken = np.repeat(pair, count)[chance > 0]
-    successor = model.successors[outcome].astype(np.int64)
-    cost = model.costs[outcome]
-    after = kept if size == 1 else policy.remember_outcomes(kept, taken, outcome)
-    after = np.where(ended[successor], 0, after)
-    target = after * model.n_states + successor
-    return (keys[situation], target, chance[chance > 0], cost, outcome,
-            keys[branch.situation], branch.pair, branch.probability)  # fmt: skip
+    moves = np.flatnonzero(branch.pair >= 0)
+    outcome, count = entries_of(model.outcome_offsets, branch.pair[moves])
+    taken = np.repeat(moves, count)  # branch of each outcome
+    chance = branch.probability[taken] * model.probabilities[outcome]
+    possible = chance > 0.0
+    taken, outcome, chance = taken[possible], outcome[possible], chance[possible]
+    kept = memory[branch.situation] if branch.memory is None else branch.memory
+    successor, after = model.successors[outcome].astype(np.int64), kept[taken]
+    if size != 1:
+        after = policy.remember_outcomes(after, branch.pair[taken], outcome)
+    target = np.where(ended[successor], 0, after) * model.n_states + successor
+    source = keys[branch.situation]
+    return (source[taken], target, chance, model.costs[outcome], outcome,
+            source, branch.pair, branch.probability)  # fmt: skip

@@ -21,9 +21,9 @@ from ssp_lp.policies.policy import (
     check_decisions,
 )
 
-_MOST_BEYOND = 4_000_000  # states times layers beyond the last level, in memory at once
-_FAR = 1e15  # layers: greatest step
-_MOST_PASSED = 20_000_000  # states times layers of one step, if costs are rounded up
+_MOST_BEYOND = 4_000_000  # most states times layers beyond the last level
+_FAR = 1e15  # most layers that a step may pass
+_MOST_PASSED = 20_000_000  # most states times layers of one step, if costs are rounded up
 _CHECKED = 1_000_000  # decisions checked together
 _ROUNDING = 1e-9  # of a level: above the rounding of a total of many levels
 _NEAR = 1e-6  # of a layer or a level: far above the rounding of a sum of costs, far below a step
@@ -112,7 +112,7 @@ class CostAwarePolicy(Policy):
         return self._memory_at(nothing, self.tail_threshold[states] <= 0.0)
 
     def layers(self) -> CostLayers | None:
-        """Return the policy by layer of cost; None: a cost is no multiple of it, or too large."""
+        """Return the decisions by layers of cost; None if a cost is no multiple, or too large."""
         if self.levels is not None:
             return self._level_layers(self.levels)
         given = self.model.costs
@@ -178,7 +178,7 @@ class CostAwarePolicy(Policy):
         return steps, ~(np.abs(units - steps) <= _NEAR)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
-        """Return the cost-aware policy by level of cost; beyond the last a layer for each tail.
+        """Return the decisions by levels of cost, then by the tails that are followed.
 
         Steps that only end episodes lead to the next layer, where that makes no difference. None if
         the layers beyond are too many.
@@ -186,7 +186,7 @@ class CostAwarePolicy(Policy):
         cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
         goes_on = (self.tails[0] != UNDECIDED)[self.model.successors]
         moving = np.isin(costs, self.model.costs[goes_on])  # of steps that may go on
-        edges = self._told_apart(levels, costs[moving])
+        edges = self._separating(levels, costs[moving])
         if len(edges) * self.model.n_states > _MOST_BEYOND:
             return None
         farthest = levels[-2] + costs[moving].max(initial=0.0)
@@ -220,8 +220,8 @@ class CostAwarePolicy(Policy):
             even=even,
         )
 
-    def _told_apart(self, levels: FloatArray, costs: FloatArray) -> FloatArray:
-        """Return the thresholds of a cost-aware policy's tails that separate two possible totals.
+    def _separating(self, levels: FloatArray, costs: FloatArray) -> FloatArray:
+        """Return the tail thresholds that separate two possible totals, increasing.
 
         Args:
             levels: increasing, the last one after all layers.

@@ -1,7 +1,7 @@
-"""The base of all policies, which decide and remember, for many episodes at once.
+"""Policies: their base class, those without a memory of their own, and lotteries over policies.
 
-The module has the policies without memory, or with another one's memory, and mixed policies:
-lotteries over finitely many policies, drawn once at the start (section 2.2 of the paper).
+A policy decides and remembers for many episodes at once. A lottery draws one of finitely many
+policies at the start (section 2.2 of the paper).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ssp_lp.arrays import (
     offsets_of,
     segment_sums,
 )
-from ssp_lp.errors import ModelError, attributes_of, check_whole, in_short, wrong_argument
+from ssp_lp.errors import ModelError, check_whole, in_short, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
@@ -38,7 +38,7 @@ Randomness = np.random.Generator | int
 
 
 def generator_of(seed: Randomness) -> np.random.Generator:
-    """Return the random generator to play a policy with: itself, or a new one with this seed.
+    """Return the random generator of a seed: a generator itself, or a new one from a number.
 
     Raises:
         ModelError: neither a generator nor a whole number >= 0.
@@ -87,7 +87,9 @@ class Branches(NamedTuple):
     situation: IntArray  # [branches] position among the given situations
     pair: IntArray  # [branches] pair of the model, or GIVE_UP_CODE
     probability: FloatArray  # [branches]
-    memory: IntArray | None = None  # [branches] after giving up, to go on with; None: unchanged
+    memory: IntArray | None = (
+        None  # [branches] changed where a policy gives up and goes on; or None
+    )
 
     def kept(self, memory: IntArray) -> IntArray:
         """Return the memory of each decision, given that of the situations, [branches]."""
@@ -111,7 +113,7 @@ class CostLayers:
     unit: float | None  # cost of a layer; None: layers are levels, to which totals are rounded
     width: int  # 1 + the most layers that a step passes
     rounds_up: bool = False  # whether costs that are not multiples of the unit are rounded up
-    even: int = 0  # number of first layers that lead as the first one does
+    even: int = 0  # number of first layers whose steps pass as many layers as the first one's
 
     @property
     def count(self) -> int:
@@ -119,13 +121,8 @@ class CostLayers:
         return len(self.decision)
 
 
-_EVERYWHERE = (
-    "(runs need not reach all of these: solution.policy_table() lists those that they reach)"
-)
-
-
-class Playable(Report, ReadOnlyCopies, ABC):
-    """Mix-in of the policies that your own loop can drive: they start episodes.
+class _Playable(Report, ReadOnlyCopies, ABC):
+    """Base of policies and lotteries: starts episodes, which your own loop can play.
 
     Example:
         >>> from ssp_lp import SSP, DeterministicPolicy
@@ -195,7 +192,10 @@ class Playable(Report, ReadOnlyCopies, ABC):
             Member(weight, member.remembers, dict(member.memories()), member.decisions)
             for weight, member in self.weighted
         )
-        return PolicyTable(self.weighted[0][1].model, members, GIVE_UP, _EVERYWHERE)
+        note = (
+            "runs need not reach all of these: solution.policy_table() lists those that they reach"
+        )
+        return PolicyTable(self.weighted[0][1].model, members, GIVE_UP, f"({note})")
 
     def to_frame(self) -> Any:
         """Return the policy's table as a pandas ``DataFrame``.
@@ -243,11 +243,11 @@ class Playable(Report, ReadOnlyCopies, ABC):
         return next(iter(taken))
 
 
-class Policy(Playable):
+class Policy(_Playable):
     """A policy with a finite memory or none, which starts, decides and remembers.
 
-    Its methods work on many episodes at once. Memory is an integer whose meaning is the policy's
-    own; the default is not a memory.
+    Its methods work on many episodes at once. The memory is an integer, which only the policy
+    interprets. By default a policy has no memory.
     """
 
     model: SSP
@@ -262,7 +262,7 @@ class Policy(Playable):
 
     @property
     def memory_size(self) -> int | None:
-        """Number of values of its memory, 0 .. size - 1, in every state; None: unknown."""
+        """Number of values of the policy's memory, 0 .. size - 1; None: unknown."""
         return None if self.carrier is None else self.carrier.memory_size
 
     @property
@@ -321,7 +321,7 @@ class Policy(Playable):
         return np.ones(len(states), dtype=np.bool_)
 
     def layers(self) -> CostLayers | None:
-        """Return the policy by layers of the cost paid; None if its memory is another one."""
+        """Return the decisions by layers of the cost paid; None if the memory is not the cost."""
         return None
 
     @abstractmethod
@@ -362,7 +362,7 @@ class Policy(Playable):
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None
     ) -> tuple[IntArray, IntArray]:
-        """Draw a decision for each episode, and the memory with which it is taken, [episodes] each.
+        """Draw a decision for each episode; return pairs and memories after it, [episodes] each.
 
         Raises:
             ModelError: the policy has no decision in one of the states.
@@ -389,8 +389,7 @@ def check_policies(policies: Sequence[Any], parts: str) -> None:
     """Raise :class:`ModelError` unless all parts are policies on one model."""
     for one in policies:
         if not isinstance(one, Policy):
-            hint = "; pass solution.policy" if attributes_of(one, "policy") else ""
-            raise ModelError(f"a policy is needed, not {in_short(one)}{hint}")
+            raise ModelError(f"a policy is needed, such as solution.policy, not {in_short(one)}")
         if one.model is not policies[0].model:
             raise ModelError(f"the {parts} must act on one model")
 
@@ -441,7 +440,7 @@ class EpisodeBatch:
         self._state: IntArray | None = None  # [episodes] current states, once begun
         self._is_observed = True  # whether the last actions were observed
         self.over = np.zeros(len(drawn), dtype=np.bool_)  # [episodes]
-        self.reached = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] a goal by the memory
+        self.reached = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] the goal, by the memory
         self.failed = np.zeros(len(drawn), dtype=np.bool_)  # [episodes] the goal is lost
 
     def actions(self, states: Sequence[Hashable]) -> list[Hashable]:
@@ -573,7 +572,6 @@ class Episode:
     def __init__(self, alone: EpisodeBatch) -> None:
         """Play the only episode of a batch."""
         self._alone = alone
-        self._staying: IntArray | None = None  # [states], after continue_after_give_up
 
     @explained
     def action(self, state: Hashable) -> Hashable:
@@ -587,13 +585,7 @@ class Episode:
             ModelError: unknown state or another than the observed one, or a state in which the
                 policy has no decision.
         """
-        if self._staying is None:
-            return self._alone.actions([state])[0]
-        model = self._alone.model
-        pair = int(self._staying[model.index_of(state)])
-        if pair == UNDECIDED:
-            raise ModelError(f"no action of state {state!r} surely avoids the goal")
-        return model.action_of(pair)
+        return self._alone.actions([state])[0]
 
     @explained
     def observe(self, successor: Hashable, cost: float) -> None:
@@ -608,8 +600,6 @@ class Episode:
                 no action or one observed already, or a cost that is negative, not finite or not a
                 multiple of the policy's unit.
         """
-        if self._staying is not None:
-            return
         if self._alone.over.any():
             raise ModelError("the episode is over: there is no step to observe")
         self._alone.observe([successor], [cost])
@@ -618,11 +608,6 @@ class Episode:
     def failed(self) -> bool:
         """Whether the policy's episode has lost the goal or given up, by its last action."""
         return bool(self._alone.failed[0])
-
-    def continue_after_give_up(self) -> None:
-        """Play the policy that stays in the attention states (avoiding the goal) from now on."""
-        ((member, _),) = self._alone.shares(np.zeros(1, dtype=np.int64))
-        self._staying = member.staying
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -760,7 +745,7 @@ class StochasticPolicy(Policy):
         flows: FloatArray,
         carrier: Policy | None = None,
     ) -> StochasticPolicy:
-        """Return the stochastic policy whose probabilities are the shares of each situation's flow.
+        """Return the policy that draws each decision with its share of its situation's flow.
 
         Args:
             model: the model.
@@ -811,7 +796,7 @@ class StochasticPolicy(Policy):
 
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
-class MixedPolicy(Playable):
+class MixedPolicy(_Playable):
     """A lottery at the start over a few policies (paper, section 2.2).
 
     Raises:

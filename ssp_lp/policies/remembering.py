@@ -39,7 +39,7 @@ from ssp_lp.policies.policy import (
 
 
 class _Carried(Policy):
-    """A policy around another one: its memory is ``inner memory * digits + digit``."""
+    """Policy that adds a digit to an inner one's memory: ``inner memory * len(digits) + digit``."""
 
     inner: Policy
 
@@ -163,7 +163,7 @@ def merged(memory: IntArray, *parts: Branches) -> Branches:
 
 @dataclass(frozen=True, eq=False)
 class JointMemory(Policy):
-    """The memories of several policies in one number, while one of them decides.
+    """A policy that keeps the memories of several policies in one number.
 
     The memory is a mixed-radix number, the first policy's memory its leading digit.
     """
@@ -194,8 +194,7 @@ class JointMemory(Policy):
 
     def listed_states(self, memory: int) -> IntArray:
         """Return the states that every keeper lists with its part of a joint memory, [states]."""
-        parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
-        listed = [keeper.listed_states(int(part)) for keeper, part in parts]
+        listed = [keeper.listed_states(int(part)) for keeper, part in self._parts(memory)]
         return reduce(np.intersect1d, listed, np.arange(self.model.n_states))
 
     def start_memory(self, states: IntArray) -> IntArray:
@@ -205,18 +204,20 @@ class JointMemory(Policy):
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """Return the decider's decisions, given its own part of a joint memory."""
-        parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
-        mine: list[IntArray] = [
-            part for keeper, part in parts if keeper.meaning == self.decider.meaning
-        ]
-        own = (mine or [self.decider.start_memory(states)])[0]
+        meaning = self.decider.meaning
+        mine = (part for keeper, part in self._parts(memory) if keeper.meaning == meaning)
+        own = next(mine, None)
+        own = self.decider.start_memory(states) if own is None else own
         return self.decider.branches(states, own)._replace(memory=None)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Update each keeper's part of a joint memory."""
-        parts = zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)
-        moved: list[IntArray] = [keeper.remember(part, *step) for keeper, part in parts]
+        moved = [keeper.remember(part, *step) for keeper, part in self._parts(memory)]
         return np.asarray(np.ravel_multi_index(moved, self._sizes))
+
+    def _parts(self, memory: IntArray | int) -> list[tuple[Policy, IntArray]]:
+        """Return each keeper with its part of a joint memory."""
+        return [*zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)]
 
     @property
     def _sizes(self) -> tuple[int, ...]:

@@ -100,10 +100,6 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         """Return a row, or the rows of a slice."""
         return self._rows[index]
 
-    def __iter__(self) -> Iterator[PolicyRow]:
-        """Yield the rows in order."""
-        return iter(self._rows)
-
     def tables(self) -> list[Table]:
         """Return a table of the first rows for each of the first members, with its weight."""
         several = len(self.members) > 1

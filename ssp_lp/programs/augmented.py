@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ from ssp_lp.policies.policy import GIVE_UP, DeterministicPolicy, StochasticPolic
 from ssp_lp.processes.conditions import Term
 from ssp_lp.processes.explicit_process import ExplicitProcess, ReachablePart
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, with_start
-from ssp_lp.processes.failure_semantics import FailureSemantics
+from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.quotient import (
     ModelFlow,
     Quotient,
@@ -58,6 +58,12 @@ START = "start"
 
 STAY = "stay for ever"
 """Action of the column by which a policy wanders for ever at no cost."""
+
+BOUND_TO_START = (
+    "the columns of this program depend on its start, and its rows were changed: build a program "
+    "from the new start, replace(problem, start=...).program()"
+)
+"""Message of the error that a program with changed rows cannot start elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +99,6 @@ class Augmented(ABC):
         """The model's live part with its free components collapsed."""
         return self.live.quotient
 
-    @property
-    def departs(self) -> FloatArray:
-        """Divisors of the rows of a copy, see ``live_rows``, [quotient pairs]."""
-        return self.live.departs
-
     @abstractmethod
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """Yield the model's flow in each copy, including moves within collapsed components.
@@ -113,6 +114,10 @@ class Augmented(ABC):
     @abstractmethod
     def counted(self, term: Term) -> FloatArray:
         """Return the coefficient of a quantity at each pair of the process, [process pairs]."""
+
+    def started(self, start: Hashable | Mapping[Hashable, float]) -> Augmented | None:
+        """Return the process from another start; None if its pairs depend on the start."""
+        return None
 
     @property
     def width(self) -> int:
@@ -240,7 +245,7 @@ class LabelledModel(Augmented):
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """Yield the one flow, as there is one copy."""
         quotient = self.quotient
-        flow = model_flow(quotient, visits[: self.width] / self.departs)
+        flow = model_flow(quotient, visits[: self.width] / self.inner.departs)
         yield moving_within(quotient, flow, self.start + flow.entering(quotient))
 
     def spread(self, spread: Spread) -> LabelledModel:
@@ -255,14 +260,18 @@ class LabelledModel(Augmented):
         labelled = FailureLabelled(whole, single, ones)
         return LabelledModel.of(labelled, self.start, self.semantics, self.discount)
 
-    def started(self, start: FloatArray) -> LabelledModel | None:
-        """Return the model from another start; None if an episode may end where it begins."""
-        ends = self.quotient.node_of < 0
-        if start[ends].any() or self.start[ends].any():
+    def started(self, start: Hashable | Mapping[Hashable, float]) -> LabelledModel | None:
+        """Return the model from another start.
+
+        None with a horizon, and if an episode may end where it begins.
+        """
+        if isinstance(self.model, ProductSSP) and self.model.is_hidden:
             return None
-        process = replace(self.process, start=self.quotient.gather(start))
-        labelled = replace(self.inner, process=process)
-        return LabelledModel.of(labelled, start, self.semantics, self.discount)
+        begun, ends = start_distribution(self.model, start), self.quotient.node_of < 0
+        if begun[ends].any() or self.start[ends].any():
+            return None
+        live = replace(self.inner, process=replace(self.process, start=self.quotient.gather(begun)))
+        return LabelledModel.of(live, begun, self.semantics, self.discount)
 
     def counted(self, term: Term) -> FloatArray:
         """Return the coefficient of a quantity at each pair, [process pairs]."""
@@ -288,7 +297,8 @@ class LayeredModel(Augmented):
             start: distribution over states, [states].
             semantics: where giving up is allowed.
         """
-        return cls(replace(inner), start, semantics, inner.reachable_part())
+        part = inner.reachable_part()
+        return cls(replace(inner), start, semantics, part)  # without the table's caches
 
     @property
     def live(self) -> AccumulatedCost:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
 import numpy as np
-import scipy.sparse as sp
 from cvxpy.constraints.constraint import Constraint
 from cvxpy.constraints.nonpos import Inequality
 from cvxpy.constraints.zero import Equality
@@ -18,8 +17,10 @@ from cvxpy.constraints.zero import Equality
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError, SolverError, in_short, wrong_argument
 from ssp_lp.linear_programming.linear_program import MeasuredRow, check_bounds
+from ssp_lp.model.report import ByName
 from ssp_lp.processes.failure_semantics import AS_ASKED
 from ssp_lp.processes.quantities import Quantity
+from ssp_lp.programs.augmented import BOUND_TO_START
 from ssp_lp.programs.occupation_measure import NOISES, OccupationMeasure
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ _TIGHT: Mapping[str, Mapping[str, float]] = {
 _HOW = "a convex expression <= a concave one, or == between affine ones, such as cp.square(x) <= 1"
 
 
-class ScaledExpression:
+class _ScaledExpression:
     """An affine expression of the visits in case S, whose bounds are scaled automatically.
 
     ``scaled`` is the expression in cvxpy's variables: the value for the visits times ``scale``.
@@ -69,29 +70,29 @@ class ScaledExpression:
 
     def _other(self, other: Any) -> Any:
         """Return the other operand, scaled: an expression of visits, a number or a parameter."""
-        return other.scaled if isinstance(other, ScaledExpression) else other * self._scale
+        return other.scaled if isinstance(other, _ScaledExpression) else other * self._scale
 
-    def __add__(self, other: Any) -> ScaledExpression:
+    def __add__(self, other: Any) -> _ScaledExpression:
         """Return the sum."""
-        return ScaledExpression(self.scaled + self._other(other), self._scale)
+        return _ScaledExpression(self.scaled + self._other(other), self._scale)
 
-    def __mul__(self, factor: Any) -> ScaledExpression:
+    def __mul__(self, factor: Any) -> _ScaledExpression:
         """Return the product with a number or a parameter."""
-        return ScaledExpression(factor * self.scaled, self._scale)
+        return _ScaledExpression(factor * self.scaled, self._scale)
 
     __radd__, __rmul__ = __add__, __mul__
 
-    def __neg__(self) -> ScaledExpression:
+    def __neg__(self) -> _ScaledExpression:
         """Return the negative."""
         return self * -1.0
 
-    def __sub__(self, other: Any) -> ScaledExpression:
+    def __sub__(self, other: Any) -> _ScaledExpression:
         """Return the difference."""
-        return ScaledExpression(self.scaled - self._other(other), self._scale)
+        return _ScaledExpression(self.scaled - self._other(other), self._scale)
 
-    def __rsub__(self, other: Any) -> ScaledExpression:
+    def __rsub__(self, other: Any) -> _ScaledExpression:
         """Return the difference."""
-        return ScaledExpression(self._other(other) - self.scaled, self._scale)
+        return _ScaledExpression(self._other(other) - self.scaled, self._scale)
 
     def __le__(self, bound: Any) -> Any:
         """Return cvxpy's constraint that the expression is at most a bound."""
@@ -174,8 +175,7 @@ class ConvexProgram:
     def visits(self, state: Hashable, action: Hashable | None = None) -> Any:
         """Return the expected visits of a state or action, over all copies, as a cvxpy expression.
 
-        In case S the result is a :class:`ScaledExpression`, which may be compared with unscaled
-        numbers.
+        In case S the result is scaled, and its bounds are scaled automatically.
 
         Raises:
             ModelError: unknown state or action.
@@ -193,7 +193,7 @@ class ConvexProgram:
     def _expressed(self, coefficients: FloatArray, constant: float) -> Any:
         """Return an affine cvxpy expression of the visits, scaled in case S."""
         scaled = coefficients @ self.x + constant * self.scale
-        return ScaledExpression(scaled, self.scale) if self.program.ratio else scaled
+        return _ScaledExpression(scaled, self.scale) if self.program.ratio else scaled
 
     @property
     def problem(self) -> Any:
@@ -205,7 +205,7 @@ class ConvexProgram:
         """
         key = (id(self.objective), *(id(c) for c in self.constraints.values()))
         if self._compiled is None or self._compiled[0] != key:
-            self._compiled = key, stated_problem(self._minimised, self.constraints)
+            self._compiled = key, _stated_problem(self._minimised, self.constraints)
         return self._compiled[1]
 
     def solve(
@@ -247,9 +247,7 @@ class ConvexProgram:
         program = program if start is None else program.started(start)
         if program.process.transitions is not self.program.process.transitions:  # rebuilt
             if not as_stated:
-                raise ModelError("the columns of this program depend on its start, and constraints "
-                                 "were changed: build a program from the new start, "
-                                 "replace(problem, start=...).program()")  # fmt: skip
+                raise ModelError(BOUND_TO_START)
             vars(self).update(vars(ConvexProgram(program)))
         self.start.value = program.process.start
         if objective is not None:
@@ -257,7 +255,7 @@ class ConvexProgram:
         for name, bound in bounds.items():
             self.bounds[name].value = bound
         for tight in (False, True):
-            if not solve_stated(self.problem, solver, options, tight=tight):
+            if not _solve_stated(self.problem, solver, options, tight=tight):
                 raise self._bounded.infeasible()
             measure, broken, solvers = self._answer(began)
             if max(broken.values(), default=0.0) <= _ACCEPTED:
@@ -276,10 +274,10 @@ class ConvexProgram:
 
         The smallest noise level is removed that makes the visits those of a policy within the rows.
         """
-        problem, given, solvers = self.problem, self.measure(), broken_rows(self._added)
+        problem, given, solvers = self.problem, self.measure(), _broken_rows(self._added)
         program, scale = given.program, self._scale
         solver, status = f"cvxpy, {problem.solver_stats.solver_name}", str(problem.status)
-        prices = {row.name: self._price(row.name) for row in program.rows}
+        prices = ByName({row.name: self._price(row.name) for row in program.rows})
         origin = solver, status, time.perf_counter() - began
         given = OccupationMeasure(program, given.visits, prices, None, *origin)
         as_stated = self._is_as_stated
@@ -290,7 +288,7 @@ class ConvexProgram:
                 measure = given.balanced(noise)
                 self.x.value = measure.visits * scale
             stated = {row.name: row.violation(measure.activity[row.name]) for row in program.rows}
-            broken = {"balance": measure.imbalance, **stated, **broken_rows(self._added)}
+            broken = {"balance": measure.imbalance, **stated, **_broken_rows(self._added)}
             if not as_stated:
                 value = float(np.ravel(self._minimised.value)[0])
                 broken[_OBJECTIVE] = max(value - problem.value, 0.0) / (1.0 + abs(value))
@@ -360,8 +358,7 @@ class ConvexProgram:
         for variable, value in zip(variables, values, strict=True):
             variable.value = value
         taken: Any = slopes.get(id(self.x), 0.0)
-        is_sparse = bool(sp.issparse(taken))
-        dense = taken.toarray() if is_sparse else taken
+        dense = taken if np.isscalar(taken) else taken.toarray()
         by_scale = float(slopes.get(id(self.scale), 0.0))
         return np.append(np.zeros(self.x.size) + np.ravel(dense), [by_scale, constant])
 
@@ -392,7 +389,7 @@ class ConvexProgram:
     def _minimised(self) -> Any:
         """The objective as a cvxpy expression."""
         own = self.objective
-        return own.scaled if isinstance(own, ScaledExpression) else own
+        return own.scaled if isinstance(own, _ScaledExpression) else own
 
     @property
     def _minimises_cost(self) -> bool:
@@ -419,7 +416,7 @@ class ConvexProgram:
 
         def can_be_kept(some: Collection[str]) -> bool:
             kept = [row for name, row in self.constraints.items() if name in (*always, *some)]
-            return solve_stated(cp.Problem(cp.Minimize(0.0), kept), solver, options)
+            return _solve_stated(cp.Problem(cp.Minimize(0.0), kept), solver, options)
 
         if can_be_kept(names):
             return Conflict()
@@ -504,7 +501,7 @@ class ConvexProgram:
         return max(sign * float(np.ravel(row.dual_value)[0]), 0.0)
 
 
-def stated_problem(objective: Any, constraints: Mapping[str, Any]) -> Any:
+def _stated_problem(objective: Any, constraints: Mapping[str, Any]) -> Any:
     """Build the cvxpy problem of minimising an objective within named constraints.
 
     Raises:
@@ -528,7 +525,7 @@ def stated_problem(objective: Any, constraints: Mapping[str, Any]) -> Any:
     return problem
 
 
-def solve_stated(
+def _solve_stated(
     problem: Any, solver: str | None, options: Mapping[str, Any], *, tight: bool = False
 ) -> bool:
     """Solve a convex problem by cvxpy.
@@ -581,7 +578,7 @@ def solve_stated(
     raise SolverError(f"cvxpy: {failure}")
 
 
-def broken_rows(rows: Mapping[str, Any]) -> dict[str, float]:
+def _broken_rows(rows: Mapping[str, Any]) -> dict[str, float]:
     """Return each row's violation relative to its sides; 0 if within a solver's tolerance."""
     broken = dict[str, float]()
     for name, row in rows.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,19 +33,27 @@ from ssp_lp.programs.augmented import ColumnLabel
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
-_SEEN = 1e-9  # outflow of a state below which a solver's answer counts as 0
+ROUNDING: Final = 1e-9
+"""Rounding of an optimum, up to which numbers count as 0.
+
+These are visits and shares of visits; reduced costs, relative to the greatest value; excesses over
+a row, relative to its greatest coefficient; and probabilities.
+"""
+
 _LEVELS = (1e-8, 1e-7, 1e-6)
-NOISES = ((_SEEN, 0.0), *((level, 0.0) for level in _LEVELS), *zip(_LEVELS, _LEVELS, strict=True))
+NOISES = (
+    (ROUNDING, 0.0),
+    *((level, 0.0) for level in _LEVELS),
+    *zip(_LEVELS, _LEVELS, strict=True),
+)
 """Noise levels to try: outflow of a state, and share of it, up to which visits count as 0."""
 
 _DUST = 1e-12  # share of a state's visits, or of all weight, below which the rest is rounding
 _ROUNDED = 1e-15  # share of a state's visits that is left by subtraction
 _ABOVE = 10.0  # visits count from this multiple of rounding on
 _WRONG = 1e-8  # share of a state's visits by which members may exceed the measure
-_USED_UP = 1e-9  # share of a pair's visits that counts as 0 after subtraction
 _BALANCED = 1e-13  # imbalance up to which visits count as those of a policy
 _LISTED = 20  # number of rows that are printed
-_BEYOND = 1e-9  # probability of passing the last total from which it is reported
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,9 +77,6 @@ class OccupationMeasure:
     own: tuple[MeasuredRow, ...] = ()  # rows that the user added
     minimised: float | None = None  # value of the user's objective, if it was changed
     basis: BoolArray | None = None  # basis at a vertex: [columns + rows] of the solved program
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "prices", ByName(self.prices))
 
     @cached_property
     def rows(self) -> tuple[MeasuredRow, ...]:
@@ -131,17 +136,6 @@ class OccupationMeasure:
         """Greatest violation of flow balance, x >= 0 or a row."""
         over = [row.violation(self.activity[row.name]) for row in self.program.rows]
         return max(self.imbalance, *over, 0.0)
-
-    @explained
-    def value(self, state: Hashable, cost: float | None = None) -> float:
-        """Return the dual of a state's flow balance, see :meth:`StateValues.at`.
-
-        Raises:
-            ModelError: no such state, a state without a row in the program, or unknown duals.
-        """
-        if self.values is None:
-            raise ModelError("duals are unknown if rows or objectives were added to the program")
-        return self.values.at(state, cost=cost)
 
     @property
     def beyond(self) -> float:
@@ -216,7 +210,7 @@ class OccupationMeasure:
         for noise in (None,) if self.imbalance <= _BALANCED else NOISES:
             try:
                 taken = self if noise is None else self.balanced(noise)
-                choices, weights, followed = decomposed(process, taken.visits)
+                choices, weights, followed = _decomposed(process, taken.visits)
             except SolverError as error:
                 refusal = refusal or str(error)
                 continue
@@ -250,10 +244,6 @@ class OccupationMeasure:
             frame["advantage"] = excess
         return frame
 
-    def summary(self) -> str:
-        """Return the text of :func:`repr`."""
-        return repr(self)
-
     def __repr__(self) -> str:
         """Return the objective, the derivation of c*, and each row's activity and price."""
         lines = [f"objective {self.objective:.9g}   ({self.solver}: {self.status})"]
@@ -276,12 +266,14 @@ class OccupationMeasure:
         if self.program.ratio and self.values is not None and self._goal > 0.0:
             lines.append(f"  normaliser: <goal, x> = 1   dual c*, at the scale t = 1 / "
                          f"{self._goal:.6g} = {1.0 / self._goal:.6g}")  # fmt: skip
-        if self.beyond > _BEYOND:
+        if self.beyond > ROUNDING:
             lines.append(
                 f"  {self.beyond:.3g} succeed beyond the last total that is distinguished, and are "
                 "charged that total: raise cost_cap to distinguish more"
             )
         return "\n".join(lines)
+
+    summary = __repr__
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,37 +354,53 @@ def balanced_visits(
     outflow = segment_sums(kept, process.pair_offsets)
     unseen = outflow <= noise[0] * min(float(outflow.max(initial=0.0)), 1.0)
     kept[kept <= noise[1] * outflow[process.pair_state]] = 0.0
-    share = _decomposed_shares(process, kept, unseen, otherwise)
+    share = shares_of_visits(process, kept, unseen, otherwise)
     if gives_up is not None:
         reaching = (share > 0.0) & (process.goal > 0.0)
         lost = nearer_pairs(process.dynamics.graph, reaching, share > 0.0) < 0
         lost &= segment_sums(gives_up.astype(np.float64), process.pair_offsets) > 0.0
         if lost.any():
             price = np.where(gives_up, process.cost, np.inf)
-            share = _decomposed_shares(process, share, lost, _least_pairs(process, price))
-    shape = process.n_states, process.n_pairs
-    for _ in range(process.n_states + 1):
-        drawn = np.flatnonzero(share)
-        draws = sp.csr_array((share[drawn], (process.pair_state[drawn], drawn)), shape=shape)
-        exits = np.asarray(draws @ process.dynamics.exits)
-        chain = System(sp.csr_array(draws @ process.transitions), exits)
+            share = shares_of_visits(process, share, lost, _least_pairs(process, price))
+    for _ in range(len(otherwise) + 1):
+        _, chain = drawn_chain(process, share)
         if not chain.closed.size:
             break
         rounds = np.bincount(chain.closed, minlength=process.n_states) > 0
-        share = _decomposed_shares(process, share, rounds, otherwise)
+        share = shares_of_visits(process, share, rounds, otherwise)
     return np.asarray(chain.solve_transposed(process.start)[process.pair_state] * share)
 
 
-def _decomposed_shares(
+def drawn_chain(process: ExplicitProcess, share: FloatArray) -> tuple[sp.csr_array, System]:
+    """Return the matrix of a randomised policy's draws, [states, pairs], and its chain.
+
+    Args:
+        process: the process.
+        share: probability of each pair in its state, [pairs].
+    """
+    drawn, shape = np.flatnonzero(share), (process.n_states, process.n_pairs)
+    draws = sp.csr_array((share[drawn], (process.pair_state[drawn], drawn)), shape=shape)
+    exits = np.asarray(draws @ process.dynamics.exits)
+    return draws, System(sp.csr_array(draws @ process.transitions), exits)
+
+
+def shares_of_visits(
     process: ExplicitProcess, visits: FloatArray, unseen: BoolArray, otherwise: IntArray
 ) -> FloatArray:
-    """Return the share of each pair in the visits of its state, [pairs]."""
+    """Return the share of each pair in the visits of its state, [pairs].
+
+    Args:
+        process: the process.
+        visits: of each pair, [pairs].
+        unseen: states whose visits do not count, [states].
+        otherwise: the pair that is taken in these states, [states].
+    """
     share = np.where(unseen[process.pair_state], 0.0, visits)
     share[otherwise[unseen]] = 1.0
     return np.asarray(share / segment_sums(share, process.pair_offsets)[process.pair_state])
 
 
-def decomposed(
+def _decomposed(
     process: ExplicitProcess, visits: FloatArray
 ) -> tuple[tuple[IntArray, ...], FloatArray, FloatArray]:
     """Decompose an occupation measure into deterministic policies and weights.
@@ -419,7 +427,8 @@ def decomposed(
     left, members, weights = visits.copy(), [], []
     followed = np.zeros_like(visits)
     outflow, remaining = segment_sums(visits, process.pair_offsets), 1.0
-    safe = _nearer_to_leaving(process, visits, leaving_choice(process.dynamics, process.goal))
+    leaving = leaving_choice(process.dynamics, process.goal)
+    safe = nearer_to_leaving(process, visits > 0.0, leaving)
     while remaining > 0.0:
         rounding = max(_DUST * remaining, _ROUNDED) * outflow[process.pair_state]
         left[left <= rounding] = 0.0
@@ -427,8 +436,8 @@ def decomposed(
         choice = np.where(left[most] > 0.0, most, safe)
         chain = process.dynamics.chain(choice.astype(np.int32))
         if chain.closed.size:
-            choice = _nearer_to_leaving(process, left, safe)
-            chain = process.dynamics.chain(choice.astype(np.int32))
+            choice = nearer_to_leaving(process, left > 0.0, safe)
+            chain = process.dynamics.chain(choice)
         own = chain.solve_transposed(process.start)
         visited = (own * remaining > _ABOVE * rounding[choice]) & (left[choice] > 0.0)
         if not visited.any():
@@ -440,7 +449,7 @@ def decomposed(
         spent = np.zeros_like(left)
         spent[choice] = weight * own
         followed += spent
-        used_up = np.abs(left - spent) <= _USED_UP * spent
+        used_up = np.abs(left - spent) <= ROUNDING * spent
         left = np.where(used_up, 0.0, np.maximum(left - spent, 0.0))
         remaining -= weight
     subtracted = _ABOVE * _ROUNDED * max(float(outflow.max(initial=0.0)), 1.0)
@@ -459,8 +468,14 @@ def _least_pairs(process: ExplicitProcess, values: FloatArray) -> IntArray:
     return first_minimisers(values, segment_minima(values, offsets), offsets)
 
 
-def _nearer_to_leaving(process: ExplicitProcess, visits: FloatArray, safe: IntArray) -> IntArray:
-    """Return a visited pair of each state that leads nearer to leaving, else ``safe``, [states]."""
-    supported, dynamics = visits > 0.0, process.dynamics
-    nearer = nearer_pairs(dynamics.graph, supported & (dynamics.exits > 0.0), supported)
-    return np.where(nearer >= 0, nearer, safe)
+def nearer_to_leaving(process: ExplicitProcess, usable: BoolArray, otherwise: IntArray) -> IntArray:
+    """Return a usable pair of each state that leads nearer to leaving, [states].
+
+    Args:
+        process: the process.
+        usable: mask of the pairs that may be taken, [pairs].
+        otherwise: pair of a state that no usable pairs lead out of, [states].
+    """
+    exits = process.dynamics.exits > 0.0
+    nearer = nearer_pairs(process.dynamics.graph, usable & exits, usable)
+    return np.where(nearer >= 0, nearer, otherwise).astype(np.int32)

@@ -35,27 +35,31 @@ from ssp_lp.linear_programming.linear_program import (
     as_latex,
     as_table,
     check_bounds,
+    sums_as_latex,
     words_as_latex,
 )
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.report import ByName, Report, Table
 from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.conditions import ArrivalTerm
 from ssp_lp.processes.explicit_process import ExplicitProcess, PricedMinimum, priced_minimum
-from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
+from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense
 from ssp_lp.processes.past_failing import check_counted_past_failing
 from ssp_lp.processes.quantities import Quantity, objective_of
 from ssp_lp.processes.quotient import Spread, spread_out
-from ssp_lp.programs.augmented import START, STAY, Augmented, ColumnLabel, LabelledModel
-from ssp_lp.programs.occupation_measure import OccupationMeasure, StateValues, balanced_visits
+from ssp_lp.programs.augmented import BOUND_TO_START, START, STAY, Augmented, ColumnLabel
+from ssp_lp.programs.occupation_measure import (
+    ROUNDING,
+    OccupationMeasure,
+    StateValues,
+    balanced_visits,
+)
 
 if TYPE_CHECKING:
     from ssp_lp.programs.convex_program import Conflict, ConvexProgram
 
 _TRIFLE = 1e-13  # price times scale of a row, relative to the greatest cost, that counts as 0
 _RATIOS = 4  # steps of Dinkelbach's iteration, which starts at a solver's optimum
-_ROUNDING = 1e-9  # a solver's tolerance, relative to the greatest coefficient
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +86,7 @@ class ProgramRow:
 
         An excess within rounding of the greatest coefficient does not count.
         """
-        excused = _ROUNDING * self.largest
+        excused = ROUNDING * self.largest
         left = max(activity - self.bound - excused, 0.0)
         return left / max(abs(self.bound), excused, 1e-300) if left else 0.0
 
@@ -139,17 +143,17 @@ class _Reduction:
         return np.concatenate([*own, values[-1:]])
 
     def row(self, stated: Augmented, coefficients: FloatArray) -> FloatArray:
-        """Return a row's coefficients at the stated pairs, [stated pairs], from [pairs] here."""
+        """Return a row's coefficients at the pairs of the stated program, [stated pairs]."""
         taken = self.program.augmented.in_all_copies(coefficients)
         return self._by_copy(taken, self.spread.per_taking)[stated.part.pairs]
 
     def departures(self, stated: Augmented, visits: FloatArray) -> FloatArray:
-        """Return visits of the pairs here, [pairs], from those stated, [stated pairs]."""
+        """Return the visits of the reduced pairs, [pairs], for those stated, [stated pairs]."""
         gone = self._by_copy(stated.in_all_copies(visits), self.spread.departures)
         return gone[self.program.augmented.part.pairs]
 
     def lifted(self, stated: OccupationProgram, measure: OccupationMeasure) -> OccupationMeasure:
-        """Return a measure here as one of the stated program, with moves in components."""
+        """Return a reduced measure as one of the stated program, with moves within components."""
         augmented = self.program.augmented
         own = map(self.spread.visits, augmented.flows(measure.visits))
         source = augmented.in_all_copies(measure.visits)[-1:]
@@ -158,7 +162,7 @@ class _Reduction:
         return replace(measure, program=stated, visits=visits, values=values, reduced=measure)
 
     def values(self, stated: OccupationProgram, found: StateValues) -> StateValues:
-        """Return values of this program's states as values of the stated program's states."""
+        """Return values of the reduced program's states as values of the stated states."""
         augmented = self.program.augmented
         nodes = augmented.quotient.node_of[self.spread.quotient.first_states]
         every = np.zeros(augmented.copies * augmented.quotient.n_nodes + 1)
@@ -241,20 +245,14 @@ class OccupationProgram(Report):
             ModelError: unknown states, or probabilities that are no distribution.
             InfeasibleError: the budget is below the least failure.
         """
-        augmented, reduced, make = self.augmented, self.reduced, self.remade
-        model = augmented.model
-        unrolled = isinstance(model, ProductSSP) and model.is_hidden
-        if isinstance(augmented, LabelledModel) and not unrolled:
-            there = augmented.started(start_distribution(model, start))
-            if there is not None:
-                inner = reduced and replace(reduced, program=reduced.program.started(start))
-                make = make and partial(make, start=start)
-                return replace(self, augmented=there, reduced=inner, remade=make)
+        reduced, make = self.reduced, self.remade
+        there = self.augmented.started(start)
+        if there is not None:
+            inner = reduced and replace(reduced, program=reduced.program.started(start))
+            make = make and partial(make, start=start)
+            return replace(self, augmented=there, reduced=inner, remade=make)
         if make is None:
-            raise ModelError(
-                "the columns of this program depend on its start, and its rows were changed: build "
-                "a program from the new start, replace(problem, start=...).program()"
-            )
+            raise ModelError(BOUND_TO_START)
         return make(self.bounds, start=start)
 
     def spread_out(self) -> OccupationProgram:
@@ -262,7 +260,7 @@ class OccupationProgram(Report):
 
         No component is collapsed, and self-loops are columns as well.
         """
-        spread = spread_out(self.augmented.quotient, self.augmented.departs)
+        spread = spread_out(self.augmented.quotient, self.augmented.live.departs)
         if spread is None:
             return self
         reduction, augmented = _Reduction(self, spread), self.augmented.spread(spread)
@@ -327,9 +325,8 @@ class OccupationProgram(Report):
         counted[list(self.columns(state, action))] = 1.0
         if action is None:
             model = self.augmented.model
-            ends = np.zeros(model.n_states, dtype=np.bool_)
-            ends[model.places_of(state)] = True
-            ends &= self.augmented.quotient.node_of < 0
+            there = np.isin(np.arange(model.n_states), model.places_of(state))
+            ends = there & (self.augmented.quotient.node_of < 0)
             counted += self.augmented.counted(ArrivalTerm(model, ends))
         return counted
 
@@ -446,7 +443,7 @@ class OccupationProgram(Report):
 
     @explained
     def measure(self, x: npt.ArrayLike) -> OccupationMeasure:
-        """Return a solution of the rows, however it was found, as a measure without duals.
+        """Return visits, however they were found, as a measure without duals.
 
         The visits are not changed; ``residual`` is the amount by which they violate the rows.
 
@@ -462,7 +459,7 @@ class OccupationProgram(Report):
             values = values[:-1] / values[-1]
         if values.shape != (n_pairs,) or not np.isfinite(values).all():
             raise ModelError(f"x must be {n_pairs:,} finite numbers, a value for each column")
-        return OccupationMeasure(self, values, {}, None, "given", "as given", 0.0)
+        return OccupationMeasure(self, values, ByName(), None, "given", "as given", 0.0)
 
     def read_solution(self, path: str | Path) -> OccupationMeasure:
         """Read a solver's solution of the program that :meth:`write` wrote, as a measure.
@@ -480,10 +477,10 @@ class OccupationProgram(Report):
 
     def _answered(self, answer: LPAnswer) -> OccupationMeasure:
         """Return a solver's answer as a measure."""
-        program, dual = self.linear, answer.dual
+        rows, dual = self.linear.rows, answer.dual
         scale = float(answer.x[-1]) if self.ratio else 1.0
-        prices = {row.name: max(-float(dual[program.rows[row.name]][0]), 0.0) for row in self.rows}
-        ratio = float(dual[program.rows["normaliser"]][0]) if self.ratio else 0.0
+        prices = ByName({row.name: max(-float(dual[rows[row.name]][0]), 0.0) for row in self.rows})
+        ratio = float(dual[rows["normaliser"]][0]) if self.ratio else 0.0
         visits = answer.x[: self.process.n_pairs] / scale
         origin = answer.backend, answer.status, answer.seconds
         measure = OccupationMeasure(self, visits, prices, None, *origin, basis=answer.basis)
@@ -685,15 +682,16 @@ class OccupationProgram(Report):
     def to_latex(self) -> str:
         """Return the program in LaTeX, for a displayed equation; in full if it is small."""
         if self.linear.is_small:
-            names = self._rows
-            if self.ratio:
-                names[-1] += self._dual_of_normaliser
-            return as_latex(self.linear, self._columns, names, scaled=self.ratio)
-        stated = [("", f"<outflow, x> - <inflow, x> = {'t ' * self.ratio}start")]
-        stated += self._stated_rows
+            verb, names = "minimise", self._rows
+            aim, *rows = sums_as_latex(self.linear, self._columns, scaled=self.ratio)
+        else:
+            balance = f"<outflow, x> - <inflow, x> = {'t ' * self.ratio}start"
+            stated, verb = [("", balance), *self._stated_rows], self.aim[0]
+            names = [name for name, _ in stated]
+            aim, *rows = map(words_as_latex, (self.aim[1], *(words for _, words in stated)))
         if self.ratio:
-            stated[-1] = stated[-1][0] + self._dual_of_normaliser, stated[-1][1]
-        return words_as_latex(*self.aim, stated, scaled=self.ratio)
+            names[-1] += self._dual_of_normaliser
+        return as_latex(verb, aim, zip(names, rows, strict=True), scaled=self.ratio)
 
     def tables(self) -> list[Table]:
         """Return the program in words and, if it is small, in full: a row for each column."""

@@ -12,6 +12,7 @@ from ssp_lp import (
     DeterministicPolicy,
     InfeasibleError,
     ModelError,
+    acting_everywhere,
     certify,
     end_probability,
     evaluate,
@@ -229,15 +230,12 @@ def test_an_episode_goes_on_after_giving_up(wait: bool) -> None:
     most = end_probability("crash") <= (0.0 if wait else 0.1)
     solution = solve(mcmp(model, constraints={"crash": most}))
     assert solution.objective == pytest.approx(1.0)
-    episode = solution.policy.start(0)
+    episode = acting_everywhere(solution.policy).start(0)
     assert episode.action("a") == "over"
     assert not episode.failed
     episode.observe("edge", 1.0)
     for _ in range(3 if wait else 1):
         action = episode.action("edge")
-        if action is GIVE_UP:
-            episode.continue_after_give_up()
-            action = episode.action("edge")
         assert action == ("wait" if wait else "slide")
         assert episode.failed
         episode.observe("edge" if wait else "wreck", 1.0)

@@ -11,7 +11,7 @@ import pytest
 
 from examples.solver_comparison.instances.families import layered
 from formulations import MCMP, S3P
-from ssp_lp import LinearProgramming, OutOfTimeError, Status, solve
+from ssp_lp import LinearProgramming, OutOfTimeError, SolverError, Status, solve
 from ssp_lp.compiled.deadline import until
 from ssp_lp.linear_programming import backends
 
@@ -34,7 +34,7 @@ def test_a_process_beside_this_one_says_the_same(backend, monkeypatch):
 
 
 def test_what_a_backend_raises_there_is_raised_here():
-    with pytest.raises(KeyError, match="no-such-solver"):
+    with pytest.raises(SolverError, match="no-such-solver"):
         backends.run_backend(PROBLEM.program().linear, "no-such-solver", np.inf)
 
 

@@ -14,6 +14,7 @@ from ssp_lp import (
     ModelError,
     StochasticPolicy,
     TimedPolicy,
+    acting_everywhere,
     evaluate,
     on_original,
     product,
@@ -46,10 +47,11 @@ def test_an_episode_step_by_step():
     with pytest.raises(ModelError, match="not a state"):
         episode.action("window")
     assert episode.action("door") is GIVE_UP
-    episode.continue_after_give_up()
-    assert episode.action("door") == "wait"
-    episode.observe("door", 3.0)
-    assert episode.action("door") == "wait"
+    everywhere = acting_everywhere(solution.policy).start(0)
+    for action in ("try", "try", "try", "wait", "wait"):
+        assert everywhere.action("door") == action
+        everywhere.observe("door", 1.0)
+    assert everywhere.failed
     assert solution.policy.start(0).action("door") == "try"
 
 
