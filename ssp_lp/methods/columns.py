@@ -415,8 +415,7 @@ def _capped_by_case_m(
     incumbent, semantics = prepared(), FailureSemantics(charge_failing_step=False)
     outcome = None if incumbent is None else incumbent.outcome
     if outcome is None:
-        model, start, discount = compiled.model, compiled.start, compiled.discount
-        label = CompiledExplicit(model, start, semantics, discount)
+        label = CompiledExplicit(compiled.facts, semantics)
         outcome = refined_optimum(label, budget, SolveOptions(_TRIAL_TOLERANCE))
     price = max(outcome.generated.price, outcome.generated.given_success)
     if not np.isfinite(price):
