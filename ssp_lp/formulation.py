@@ -26,10 +26,11 @@ from ssp_lp.accumulated_cost.charges import (
     WithinBound as WithinBound,
 )
 from ssp_lp.arrays import IntArray
+from ssp_lp.column_generation.compiled_layers import CompiledLayered
 from ssp_lp.column_generation.compiled_problem import (
-    CompiledAccumulatedCost,
     CompiledExplicit,
     CompiledProblem,
+    GoalFacts,
 )
 from ssp_lp.errors import (
     InfeasibleError as InfeasibleError,
@@ -322,8 +323,8 @@ class Formulation(Problem):
             return compiled_totals(self)
         if self.ratio:
             cap = self.cost_cap
-            return CompiledAccumulatedCost(model, start, self.discount, fixed_cap=cap)
-        return CompiledExplicit(model, start, semantics, self.discount)
+            return CompiledLayered.given_success(model, start, self.discount, fixed_cap=cap)
+        return CompiledExplicit(GoalFacts(model, start, self.discount), semantics)
 
     def program(self) -> OccupationProgram:
         """Return the formulation's linear program over expected visits.

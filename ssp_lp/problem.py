@@ -15,10 +15,12 @@ import numpy as np
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
 from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies, read_only, segment_ids
+from ssp_lp.column_generation.compiled_layers import CompiledLayered
 from ssp_lp.column_generation.compiled_problem import (
-    CompiledArrivalCost,
     CompiledExplicit,
     CompiledProblem,
+    GoalFacts,
+    LayerAndTails,
 )
 from ssp_lp.compiled.deadline import READING, is_within_call, limited
 from ssp_lp.errors import (
@@ -208,8 +210,8 @@ def resolution_of(problem: Problem) -> Resolution | None:
     # do few totals lie below the cost from which a stationary policy is optimal?
     most, facts = min(levels or MOST_SUMS, MOST_SUMS), problem.model.kept_facts
     if (key := f"{most} sums: {charge}") not in facts:
-        compiled = CompiledArrivalCost(problem.model, problem.start_mass, charge)
-        horizon = compiled.cost_horizon
+        facts_of = GoalFacts(problem.model, problem.start_mass)
+        horizon = LayerAndTails(facts_of, utility=charge).cost_horizon
         facts[key] = sums_in(problem.model, horizon, most) is not None
     return Resolution(most=MOST_SUMS) if facts[key] else resolution
 
@@ -242,22 +244,27 @@ def compiled_constrained(problem: Problem) -> CompiledExplicit:
             failure_budget=problem.failure_budget,
             least_failure=lambda: max(1.0 - greatest_goal_from(label.original, begun), 0.0),
         )
+    facts, semantics = GoalFacts(model, start, problem.discount), problem.semantics
+    side = tuple(row for condition in problem.conditions for row in condition.rows)
+    charge, resolution = semantics.charge(problem.ratio), resolution_of(problem)
+    layer = None
+    if charge is not None:
+        layer = LayerAndTails(facts, semantics.counts_law, resolution is not None, side=side)
     return CompiledExplicit(
-        model=model,
-        start=start,
-        semantics=problem.semantics,
-        discount=problem.discount,
-        side=tuple(row for condition in problem.conditions for row in condition.rows),
-        budget=problem.failure_budget,
-        charge=problem.semantics.charge(problem.ratio),
+        facts,
+        semantics,
+        side,
+        problem.failure_budget,
+        charge=charge,
+        layer=layer,
         ratio=problem.ratio,
         fixed_cap=problem.cost_cap,
         objective=None if objective is None else objective.minimised(),
-        resolution=resolution_of(problem),
+        resolution=resolution,
     )
 
 
-def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArrivalCost:
+def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayered:
     """Compile a problem that counts totals, failure alone being limited.
 
     Args:
@@ -266,8 +273,15 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArriva
     """
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
     by_sums = may_sum and problem.totals is TotalScale.SUMS
-    asked = problem.model, problem.start_mass, charge, problem.ratio
-    return CompiledArrivalCost(*asked, by_sums=by_sums)
+    facts = GoalFacts(problem.model, problem.start_mass)
+    layer = LayerAndTails(
+        facts,
+        counts_law=True,
+        by_sums=by_sums,
+        may_fail=problem.ratio,
+        utility=charge if isinstance(charge, ExponentialUtility) else None,
+    )
+    return CompiledLayered(facts, layer, charge, problem.ratio)
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +297,7 @@ class Restated(Problem):
     discount: float | None = None
     objective_condition: Condition | None = None
 
-    def compile(self) -> CompiledArrivalCost:
+    def compile(self) -> CompiledLayered:
         """Compile the restated problem on the lattice of its costs."""
         return compiled_totals(self, may_sum=False)
 

@@ -20,7 +20,7 @@ from ssp_lp.analysis.explanation import Explanation, explanation
 from ssp_lp.analysis.what_if import Number, WhatIf, what_if
 from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.column import least_of, relative_gap
-from ssp_lp.column_generation.compiled_problem import CompiledExplicit
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit, GoalFacts
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import ModelError, in_short
@@ -238,7 +238,7 @@ class Solution(Facts, ReadOnlyCopies):
         if not live.any():
             return np.full(model.n_states, UNDECIDED)
         pays = FailureSemantics(GiveUp.DEAD_ENDS, semantics.charge_failing_step)
-        compiled = CompiledExplicit(model, live / live.sum(), pays)
+        compiled = CompiledExplicit(GoalFacts(model, live / live.sum()), pays)
         price = None if semantics.aim is not Aim.LEAST_COST else self.failure_price
         if price is None or price == np.inf:
             best = compiled.least_failure().policy
@@ -452,7 +452,8 @@ def _least_after(model: SSP, quantity: Quantity) -> IntArray:
     if begins.any():
         start = begins / begins.sum()
         least = objective_of(label, start, quantity).minimised()
-        pricing = CompiledExplicit(label, start, failing, objective=least).pricing()
+        facts = GoalFacts(label, start)
+        pricing = CompiledExplicit(facts, failing, objective=least).pricing()
         states = np.flatnonzero(begins)
         best = pricing.policy(pricing.minimise(0.0)).branches(states, np.zeros_like(states))
         here, acts = label.original_state[states], best.pair >= 0

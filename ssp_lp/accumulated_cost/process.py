@@ -348,7 +348,7 @@ class ChargedLayers:
         rows = csr_of(arrivals.data, column.astype(np.int64), bounds, shape)
         return np.ascontiguousarray((rows @ charged.T).T)
 
-    @property
+    @cached_property
     def start_charge(self) -> float:
         """Charge of the start mass on goals."""
         return self.base.start_goal * float(self.charge.at(np.zeros(1))[0])
@@ -371,35 +371,10 @@ class LayeredTails:
     greatest_moment: FloatArray | None = None  # [nodes] certified, of E[exp(rate * cost); goal]
     guess: tuple[float, float] | None = None  # approximate E[cost; goal] and goal, if row 0 fails
 
-    @property
-    def goal(self) -> FloatArray:
-        """E[gamma^T; goal] of the tails, [tails, nodes]."""
-        return self.values.goal
-
-    def bounding(self, goal: FloatArray) -> TailValues:
-        """Return values that bound those of every policy with a given goal probability."""
-        nothing = np.zeros_like(goal)
-        moment = nothing if self.greatest_moment is None else nothing + self.greatest_moment
-        return TailValues(goal, 1.0 - goal, nothing, nothing, moment)
-
-    @property
+    @cached_property
     def first(self) -> TailValues:
         """Values of the first tail, [nodes] each."""
         return self.values.row(0)
-
-    def threshold(self, failure_price: float, charge: Charge) -> FloatArray:
-        """Return the total from which the last tail is no worse than the first, [nodes].
-
-        The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
-        cost_k) + offset * goal_k.
-        """
-        first, last = self.values.row(0), self.values.row(-1)
-        saved = charge.slope * (first.early - last.early)
-        owed = (failure_price - charge.offset) * (first.goal - last.goal)
-        owed = owed + charge.slope * (last.cost - first.cost)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            total = owed / saved
-        return np.where(saved > 0, total, np.where(owed < 0, -np.inf, np.inf))
 
 
 @dataclass(frozen=True, eq=False)
@@ -411,12 +386,12 @@ class LayeredProcess(ChargedLayers):
     tails: LayeredTails
     charge: Charge = TOTAL_COST
 
-    @property
+    @cached_property
     def end(self) -> float:
         """The total of the cap, in units."""
         return float(self.totals.values[-1]) if self.base.by_steps else self.cap
 
-    @property
+    @cached_property
     def beyond_units(self) -> FloatArray:
         """Totals at which tails take over, in units, [layers, 1]."""
         if not self.base.by_steps:
@@ -424,28 +399,31 @@ class LayeredProcess(ChargedLayers):
         return self.totals.beyond[:, None]
 
     def threshold(self, price: float) -> FloatArray:
-        """Return, for a price of failure, the total from which the last tail is chosen, [nodes].
+        """Return the total, in units, from which the last tail is no worse than the first, [nodes].
 
-        Totals are in units. A total up to the cap is given as -infinity, so that equal rules
+        The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
+        cost_k) + offset * goal_k. A total up to the cap is given as -infinity, so that equal rules
         compare equal.
+
+        Args:
+            price: of failure.
         """
-        total = self.tails.threshold(price, self.charge) / self.base.unit
+        charge, first, last = self.charge, self.tails.first, self.tails.values.row(-1)
+        saved = charge.slope * (first.early - last.early)
+        owed = (price - charge.offset) * (first.goal - last.goal)
+        owed = owed + charge.slope * (last.cost - first.cost)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            total = owed / saved
+        total = np.where(saved > 0, total, np.where(owed < 0, -np.inf, np.inf)) / self.base.unit
         total = total if self.base.by_steps else np.ceil(total - 1e-9)
         return np.where(total <= self.end, -np.inf, total)
 
-    def beyond(self, price: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return (charge, failure, goal) of the tails chosen at a price.
-
-        Returns:
-            3 x [layers, nodes].
-        """
+    def measures_beyond(self, price: float) -> FloatArray:
+        """Return charge, failure and goal of the tails chosen at a price, [layers, nodes, 3]."""
         last = self.beyond_units >= self.threshold(price)[None, :]
         chosen, paid = self.tails.values.chosen(last), self.beyond_units * self.base.unit
-        return self.charge.beyond(paid, chosen), chosen.failure, chosen.goal
-
-    def measures_beyond(self, price: float) -> FloatArray:
-        """Return charge, failure and goal beyond the cap, [layers, nodes, 3]."""
-        return np.stack(self.beyond(price), axis=-1)
+        charged = self.charge.beyond(paid, chosen)
+        return np.stack([charged, chosen.failure, chosen.goal], axis=-1)
 
     def beyond_value(self, price: float, failing: float) -> FloatArray:
         """Return the value of the tails chosen at a price, [layers, nodes].
@@ -454,8 +432,8 @@ class LayeredProcess(ChargedLayers):
             price: kappa.
             failing: weight of failure: kappa, or 0 with weight -kappa of the goal.
         """
-        charge, failure, goal = self.beyond(price)
-        return charge + failing * failure - (price - failing) * goal
+        charge, failure, goal = np.moveaxis(self.measures_beyond(price), -1, 0)
+        return np.asarray(charge + failing * failure - (price - failing) * goal)
 
     def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
         """Return a lower bound of every policy's value beyond the cap, [layers, nodes].
@@ -474,7 +452,12 @@ class LayeredProcess(ChargedLayers):
         rest = failing * (1.0 - goal) - (failure_price - failing) * goal
         bound = paid * goal
         if tails.greatest_moment is not None:
-            bound = self.charge.beyond(totals, tails.bounding(goal))
+            nothing, moment = (
+                np.zeros_like(goal),
+                np.broadcast_to(tails.greatest_moment, goal.shape),
+            )
+            most = TailValues(goal, 1.0 - goal, nothing, nothing, moment)
+            bound = self.charge.beyond(totals, most)
         if tails.least_cost is not None:
             bound = bound + self.charge.slope * tails.least_cost
         terms = failing + (failure_price - failing + np.abs(paid)) * goal + np.abs(bound)

@@ -39,7 +39,6 @@ from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import STOPS, Stop, backward, check_time, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
-    SparseRows,
     backup_rounding,
     best_pairs,
     chosen_product,
@@ -146,19 +145,9 @@ class Sweep:
         return cls(process, np.stack([base.failure, base.survival * base.gain], axis=1))
 
     @cached_property
-    def pair_offsets(self) -> IntArray:
-        """Offsets of the pairs of each node in a layer, [nodes + 1]."""
-        return self.process.base.pair_offsets
-
-    @cached_property
     def first_pairs(self) -> IntArray:
         """First pair of each node, [nodes]."""
-        return self.pair_offsets[:-1]
-
-    @cached_property
-    def start(self) -> FloatArray:
-        """Start mass of the nodes, [nodes]."""
-        return self.process.base.start
+        return self.process.base.pair_offsets[:-1]
 
     @cached_property
     def charged(self) -> Callable[[int], PairCost]:
@@ -176,7 +165,7 @@ class Sweep:
 
     def room_for_choice(self, layers: int | None = None) -> IntArray:
         """Return an empty array for a choice over layers, in the smallest integer type."""
-        most = int(np.diff(self.pair_offsets).max(initial=1))
+        most = int(np.diff(self.process.base.pair_offsets).max(initial=1))
         size = self.process.cap if layers is None else layers, len(self.first_pairs)
         return np.empty(size, dtype=least_integer_type(most))
 
@@ -196,15 +185,15 @@ class Sweep:
             Stop: the time limit was reached; it carries the finished part of the sweep.
         """
         base, values, measures = self.process.base, priced.beyond, priced.measures
-        entries = np.flatnonzero(self.start)
-        shares = self.start[entries]
+        entries = np.flatnonzero(base.start)
+        shares = base.start[entries]
         if (one_pass := self.one_pass) is not None:
             for some, swept, last in self._blocks(one_pass, priced, values, measures, choice):
                 measures = last
                 if begun is not None:
                     begun[some, 0] = swept[:, entries] @ shares
                     begun[some, 1:] = shares @ measures[:, entries]
-            return expected(self.start, measures[0])
+            return expected(base.start, measures[0])
         cost, inner = self._pair_costs(priced), self._first_choice
 
         def best(
@@ -214,7 +203,7 @@ class Sweep:
             nonlocal inner
             if self.is_acyclic:
                 pair_cost = cost(layer)[0]
-                backup = best_pairs(self.pair_offsets, base.later, pair_cost, ahead)
+                backup = best_pairs(base.pair_offsets, base.later, pair_cost, ahead)
                 inner, least = backup.choice, backup.minima
             else:
                 onward = (cost(layer)[0].total + base.later @ ahead)[:, None]
@@ -232,7 +221,7 @@ class Sweep:
                 part = part._replace(layer=layer, measures=(*numbers, None)[1])
             if part.measures is None:
                 return self.follow(choice, measures)
-            return expected(self.start, part.measures)
+            return expected(base.start, part.measures)
         except STOPS as stop:
             end_with_incumbent(stop)
             raise Stop(part) from stop
@@ -245,10 +234,11 @@ class Sweep:
             choice: [cap, nodes].
             beyond: measures beyond the cap, [layers beyond, nodes, 1 + counted].
         """
+        start = self.process.base.start
         if (one_pass := self.one_pass) is not None:
             given = Priced(_NONE, _NONE, _NONE), beyond[:, :, 0], beyond, choice
             blocks = self._blocks(one_pass, *given, keeps=True)
-            return expected(self.start, deque(blocks, maxlen=1)[0][2][0])
+            return expected(start, deque(blocks, maxlen=1)[0][2][0])
         if self.can_follow:
             return self.follow(choice, beyond)
 
@@ -257,7 +247,7 @@ class Sweep:
             return (self._measures(layer, self.first_pairs + choice[layer], ahead),)
 
         swept = self._backward(measured, beyond)
-        return expected(self.start, deque(swept, maxlen=1)[0][1][0])
+        return expected(start, deque(swept, maxlen=1)[0][1][0])
 
     def bound(
         self,
@@ -292,7 +282,7 @@ class Sweep:
             if self.is_acyclic:
                 position = None if choice is None else choice[layer]
                 sums = pair_cost, size, alone, ahead, position
-                lowest = safe_minima(self.pair_offsets, base.later, *sums)
+                lowest = safe_minima(base.pair_offsets, base.later, *sums)
                 return (lowest if is_free else np.minimum(lowest, most),)
             growth = 0.0 if pair_cost.slope is None else pair_cost.factor * pair_cost.slope
             size = (size + growth) + base.later @ np.abs(ahead)
@@ -313,8 +303,8 @@ class Sweep:
         is_kept = keeps and given.size <= KEPT_VALUES
         kept = np.empty(given.shape) if is_kept else np.broadcast_to(np.inf, given.shape)
         begun, sizes = np.zeros((2, process.cap))
-        entries = np.flatnonzero(self.start)
-        shares = self.start[entries]
+        entries = np.flatnonzero(base.start)
+        shares = base.start[entries]
         for some, lowest in blocks:
             begun[some] = lowest[:, entries] @ shares
             sizes[some] = np.abs(lowest[:, entries]) @ shares
@@ -348,8 +338,7 @@ class Sweep:
     @property
     def _begun_mass(self) -> LayerMass:
         """The start mass in the first layer, for a forward sweep."""
-        rows = LayerRows(self.process.base.later, self.pair_offsets, self.counted, self.start)
-        return LayerMass(rows, self.process.totals)
+        return LayerMass(self.process.base, self.counted, self.process.totals)
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
         """Return a choice's mass beyond the cap, by a forward sweep, [layers beyond, nodes]."""
@@ -702,8 +691,7 @@ def follow_rule(
         The pair; None if nothing arrives, or much mass is still waiting then.
     """
     counted = np.stack([base.failure, base.survival * base.gain], axis=1)
-    rows = LayerRows(base.later, base.pair_offsets, counted, base.start)
-    mass, sums = LayerMass(rows, base.totals(0)), np.zeros(3)
+    mass, sums = LayerMass(base, counted, base.totals(0)), np.zeros(3)
     for layer in range(most_layers):
         mass.here[mass.here < _DROPPED] = 0.0
         sums += mass.follow(rule, PairCost(base.gain_cost, base.gain, layer * base.unit))
@@ -712,34 +700,27 @@ def follow_rule(
     return None
 
 
-class LayerRows(NamedTuple):
-    """The data of one layer for forward sweeps, without free steps."""
-
-    later: SparseRows  # [pairs, layers ahead * nodes]
-    pair_offsets: IntArray  # [nodes that have pairs + 1]
-    counted: FloatArray  # [pairs, counted] rewards in addition to the charge
-    start: FloatArray  # [nodes]
-
-
 class LayerMass:
     """The mass of a layer and of the layers ahead, in a forward sweep. Mutable."""
 
-    def __init__(self, rows: LayerRows, totals: Totals) -> None:
+    def __init__(self, base: AccumulatedCost, counted: FloatArray, totals: Totals) -> None:
         """Start with the start mass in the first layer.
 
         Args:
-            rows: one layer, without free steps.
+            base: one layer, without free steps.
+            counted: rewards in addition to the charge, [pairs, counted].
             totals: the totals of the layers, and the layers that steps lead to.
         """
-        self._rows, self._span, self._leads = rows, totals.span, totals.ahead
-        self._buffer = np.zeros((2 * self._span + 1, len(rows.start)))
-        self._buffer[0], self._front, self._layer = rows.start, 0, 0
+        self._base, self._counted = base, counted
+        self._span, self._leads = totals.span, totals.ahead
+        self._buffer = np.zeros((2 * self._span + 1, base.n_nodes))
+        self._buffer[0], self._front, self._layer = base.start, 0, 0
         classes = 0 if self._leads is None else self._leads.shape[1]
-        self._by_class = np.zeros((classes, len(rows.start)))
+        self._by_class = np.zeros((classes, base.n_nodes))
 
     @property
     def here(self) -> FloatArray:
-        """The mass of the layer, [nodes]; it must be 0 at nodes without pairs."""
+        """The mass of the layer, [nodes]."""
         here: FloatArray = self._buffer[self._front]
         return here
 
@@ -761,13 +742,13 @@ class LayerMass:
         from ssp_lp.compiled.layers import follow_layer
 
         check_time()
-        rows = self._rows
-        sums = np.zeros((1 + rows.counted.shape[1], 2))  # sums, and their rounding errors
+        base, counted = self._base, self._counted
+        sums = np.zeros((1 + counted.shape[1], 2))  # sums, and their rounding errors
         first, leads = self._front + 1, self._leads
         onward = self._buffer[first : first + self._span] if leads is None else self._by_class
         follow_layer(
-            self.here, choice, unsigned(rows.pair_offsets), *row_parts(rows.later), *charge.parts,
-            rows.counted, onward.reshape(-1), sums,
+            self.here, choice, unsigned(base.pair_offsets), *row_parts(base.later), *charge.parts,
+            counted, onward.reshape(-1), sums,
         )  # fmt: skip
         if leads is not None:
             for mass, lead in zip(self._by_class, leads[self._layer].tolist(), strict=True):

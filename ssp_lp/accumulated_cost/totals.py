@@ -339,8 +339,8 @@ class Totals:
     @classmethod
     def of_unit(cls, unit: Fraction, cap: int, width: int) -> Totals:
         """Return the multiples of a unit up to a cap, for steps of 0 .. width - 1 units."""
-        values, steps = (read_only(totals_of(np.arange(n), unit)) for n in (cap + 1, width))
-        return cls(values, steps, complete=True, unit=unit)
+        values, steps = totals_of(np.arange(cap + 1), unit), totals_of(np.arange(width), unit)
+        return cls(read_only(values), read_only(steps), complete=True, unit=unit)
 
     @cached_property
     def size(self) -> int:

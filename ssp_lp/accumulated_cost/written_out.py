@@ -102,7 +102,7 @@ def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -
         choice: position among the pairs of its node, [cap, nodes].
         tail_price: price of failure at which the tails beyond the cap are chosen.
     """
-    base, cap, n_tails = process.base, process.cap, len(process.tails.goal)
+    base, cap, n_tails = process.base, process.cap, len(process.tails.values.goal)
     within = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1] + choice
     last = (process.beyond_units >= process.threshold(tail_price)).ravel()
     beyond = cap * len(base.gain) + np.arange(last.size) * n_tails + last * (n_tails - 1)
@@ -152,10 +152,10 @@ def steps_of_layers(
     return sp.csr_array(below + above)
 
 
-_FIRST_LAYERS = 64  # first cap of a charge that never settles
+FIRST_LAYERS: Final = 64  # first cap of a charge that never settles
 _MOST_AT_FIRST = 1_000  # most layers of a first cap, as a policy of higher cost may be a long shot
-_TYPICAL = 2.5  # first cap, in costs given success of the safest policy
-_BEYOND = 1e-9  # relative distance of a total that lies beyond another
+TYPICAL: Final = 2.5  # first cap, in costs given success of a typical policy
+BEYOND: Final = 1e-9  # relative distance of a total that lies beyond another
 
 
 MOST_WRITTEN: Final = 20_000_000
@@ -173,17 +173,12 @@ class OpenEnded(ChargedLayers):
     start: FloatArray  # [states]
     least_goal: FloatArray | None = None  # [states] lower bound for every policy; None: unknown
 
-    @property
-    def n_nodes(self) -> int:
-        """Number of nodes of one layer."""
-        return self.base.n_nodes
-
     @cached_property
     def process(self) -> ExplicitProcess:
         """The explicit process; ModelError: it has too many pairs."""
         check_room(self.base, self.cap, MOST_WRITTEN)
         base, copies = self.base, self.cap + 1
-        steps = steps_of_layers(base, self.leads, copies * self.n_nodes + 1)
+        steps = steps_of_layers(base, self.leads, copies * self.base.n_nodes + 1)
         check_time()
         steps.sum_duplicates()
         check_time()
@@ -201,7 +196,7 @@ class OpenEnded(ChargedLayers):
         process, base = self.process, self.base
         start = process.start
         if base.start_goal == 0.0 and base.start_failure == 0.0:
-            start = np.append(base.start, np.zeros(process.n_states - self.n_nodes))
+            start = np.append(base.start, np.zeros(process.n_states - self.base.n_nodes))
         return reachable_part(process, start)
 
     def everywhere(self, per_pair: FloatArray, at_source: float) -> FloatArray:
@@ -227,7 +222,7 @@ class OpenEnded(ChargedLayers):
         Args:
             choice: pair of each state of the process, [process states].
         """
-        base, n = self.base, self.n_nodes
+        base, n = self.base, self.base.n_nodes
         quotient, model = base.quotient, base.quotient.model
         inner = choice[: (self.cap + 1) * n].reshape(self.cap + 1, n) % max(len(base.gain), 1)
         first = np.zeros(base.n_nodes, dtype=np.int32)
@@ -294,7 +289,7 @@ class OpenEnded(ChargedLayers):
     @cached_property
     def beyond(self) -> LastLayer:
         """The last layer as a process of its own."""
-        base, n = self.base, self.n_nodes
+        base, n = self.base, self.base.n_nodes
         steps = sp.csr_array(base.steps)
         onward = steps.data.copy(), steps.indices % max(n, 1), steps.indptr.copy()
         rows = sp.csr_array(onward, shape=(len(base.gain), n))
@@ -370,19 +365,19 @@ def first_cap(
     if fixed is not None:
         return max(int(np.ceil(fixed / base.unit)), 1)
     if (settled := _settled_open_end(charge)) is None:
-        return _FIRST_LAYERS + base.width
+        return FIRST_LAYERS + base.width
     needed = max(layers_within(settled, base.exact_unit), 1)
     if charge.slope == 0.0:
         return needed
-    return needed + int(min(_TYPICAL * typical / base.unit, _MOST_AT_FIRST)) + base.width
+    return needed + int(min(TYPICAL * typical / base.unit, _MOST_AT_FIRST)) + base.width
 
 
 def first_total(charge: Charge, typical: float) -> float:
     """Return a first cap as a total, if layers are not multiples of a unit."""
     settled = _settled_open_end(charge)
     if settled is not None and charge.slope == 0.0:
-        return settled * (1.0 + _BEYOND)
-    return (settled or 0.0) + _TYPICAL * typical
+        return settled * (1.0 + BEYOND)
+    return (settled or 0.0) + TYPICAL * typical
 
 
 def truncates(charge: Charge | None, total: float) -> bool:
@@ -396,6 +391,6 @@ def truncates(charge: Charge | None, total: float) -> bool:
 def _settled_open_end(charge: Charge) -> float | None:
     """Return the total beyond which the charge is affine; None: it is never exactly affine."""
     settled = charge.settled
-    if settled is None or not charge.is_affine_beyond(settled * (1.0 + _BEYOND)):
+    if settled is None or not charge.is_affine_beyond(settled * (1.0 + BEYOND)):
         return None
     return settled

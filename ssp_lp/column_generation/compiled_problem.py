@@ -1,9 +1,8 @@
-"""Compiled problems: an augmented process, its limits and the ways to refine it.
+"""Compiled problems: a process, its limits and the ways to refine it, and the facts they share.
 
-- :class:`CompiledExplicit` has any number of rows: case M on states x failure label, and any charge
-  of the accumulated cost in layers.
-- :class:`CompiledAccumulatedCost` (case S) and :class:`CompiledArrivalCost` (any charge of the
-  accumulated cost) limit failure alone. Their layers need not be written out.
+:class:`CompiledExplicit` has any number of rows: case M on states x failure label, and any charge
+of the accumulated cost in layers. ``compiled_layers`` has problems that limit failure alone, whose
+layers need not be written out.
 """
 
 from __future__ import annotations
@@ -11,13 +10,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 
 from ssp_lp.accumulated_cost import written_out
-from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, ExponentialUtility, TailValues
+from ssp_lp.accumulated_cost.charges import Charge, ExponentialUtility, TailValues
 from ssp_lp.accumulated_cost.exponential_utility import (
     cost_horizon,
     greatest_moment,
@@ -25,7 +25,6 @@ from ssp_lp.accumulated_cost.exponential_utility import (
 )
 from ssp_lp.accumulated_cost.process import (
     AccumulatedCost,
-    LayeredProcess,
     LayeredTails,
     accumulate_cost,
 )
@@ -34,11 +33,10 @@ from ssp_lp.accumulated_cost.totals import (
     MOST_SUMS,
     Resolution,
     Totals,
-    layers_within,
     step_costs,
     sums_in,
 )
-from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, FloatArray, IntArray, read_only
+from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray, read_only
 from ssp_lp.column_generation.column import (
     Column,
     FailureRow,
@@ -47,14 +45,14 @@ from ssp_lp.column_generation.column import (
     required,
 )
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
-from ssp_lp.column_generation.layered_pricing import LayeredPricing, OpenEndedPricing
+from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import READING, check_time, limited
+from ssp_lp.compiled.deadline import READING, limited
 from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import dead_ends, goal_approach, surely_reaching
-from ssp_lp.policies.policy import DeterministicPolicy, Policy
+from ssp_lp.model.graph import goal_approach, surely_reaching
+from ssp_lp.policies.policy import Policy
 from ssp_lp.processes import goal_reach
 from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
 from ssp_lp.processes.explicit_process import ExplicitProcess
@@ -69,7 +67,6 @@ from ssp_lp.processes.failure_semantics import (
     goal_out_of_reach,
     survival_of,
 )
-from ssp_lp.processes.live_rows import uniform_cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +84,69 @@ class LeastFailure:
         return self.column.failure - self.proved <= LEAST_BUDGET
 
 
-class CompiledProblem(ABC):
-    """A problem compiled for methods: a process, a charge, rows and perhaps a ratio.
+@dataclass(frozen=True, eq=False)
+class GoalFacts:
+    """Extreme goal probabilities of a model, and policies that attain them; each computed once.
 
-    The defaults are those of an explicit process without truncation (case M).
+    A compiled problem and its copies share this object.
     """
 
     model: SSP
     start: FloatArray  # [states] the distribution in which an episode begins
-    discount: float | None  # None: exact
+    discount: float | None = None  # None: exact
+
+    @cached_property
+    def survival(self) -> float:
+        """The discount, 1 in the exact setting."""
+        return survival_of(self.discount)
+
+    @cached_property
+    def greatest(self) -> goal_reach.GoalReach:
+        """The greatest goal probability from every state."""
+        return goal_reach.greatest_goal_reach(self.model, self.survival)
+
+    @cached_property
+    def greatest_from_start(self) -> goal_reach.GoalReach:
+        """The greatest goal probability, and the pairs that attain it, from the start."""
+        return goal_reach.greatest_goal_reach(self.model, self.survival, self.start)
+
+    @cached_property
+    def least(self) -> goal_reach.GoalReach:
+        """The least goal probability from every state."""
+        return goal_reach.least_goal_reach(self.model, self.survival)
+
+    @cached_property
+    def safest(self) -> goal_reach.ReachPolicy:
+        """The cheapest policy of greatest goal probability."""
+        return goal_reach.cheapest_reach(self.model, self.greatest, self.survival)
+
+    @cached_property
+    def riskiest(self) -> goal_reach.ReachPolicy:
+        """The cheapest policy of least goal probability (pi'_or)."""
+        return goal_reach.cheapest_reach(self.model, self.least, self.survival)
+
+    @cached_property
+    def directed(self) -> goal_reach.ReachPolicy:
+        """A policy whose every step may come nearer to the goal."""
+        return goal_reach.goal_directed(self.model, self.survival)
+
+    @cached_property
+    def typical_cost(self) -> float:
+        """Cost given success of the cheapest policy of greatest goal probability from the start."""
+        reach = self.greatest_from_start
+        cost, goal = self.cost_and_goal(goal_reach.cheapest_reach(self.model, reach, self.survival))
+        return cost / max(goal, 1e-300)
+
+    def cost_and_goal(self, policy: goal_reach.ReachPolicy) -> tuple[float, float]:
+        """Return E[cost; goal] and the goal probability of a policy from the start."""
+        values = policy.values
+        return float(self.start @ values.cost), float(self.start @ values.goal)
+
+
+class CompiledProblem(ABC):
+    """A problem compiled for methods: a process, a charge, rows and perhaps a ratio."""
+
+    facts: GoalFacts  # of the model, the start and the discount
     ratio: bool  # whether the objective is cost / (1 - failure) (case S) rather than cost (case M)
     charge: Charge | None  # of the total cost at the goal; None: case M, no accumulated cost
 
@@ -105,24 +156,39 @@ class CompiledProblem(ABC):
         return AS_ASKED
 
     @property
+    def model(self) -> SSP:
+        """The model."""
+        return self.facts.model
+
+    @property
+    def start(self) -> FloatArray:
+        """The distribution in which an episode begins, [states]."""
+        return self.facts.start
+
+    @property
+    def discount(self) -> float | None:
+        """The discount; None: exact."""
+        return self.facts.discount
+
+    @property
+    @abstractmethod
     def lowest(self) -> float:
         """Lower bound of the objective, known without a search."""
-        return 0.0
 
     @property
+    @abstractmethod
     def is_trial(self) -> bool:
         """Whether this problem only serves to find the price, which determines its size."""
-        return False
 
     @property
+    @abstractmethod
     def is_long_shot(self) -> bool:
         """Whether the first cap is only a guess: case M gives a better one (``capped_at``)."""
-        return False
 
     @property
+    @abstractmethod
     def cost_horizon(self) -> float:
         """Accumulated cost from which a stationary policy is optimal; 0: unknown."""
-        return 0.0
 
     @property
     @abstractmethod
@@ -133,11 +199,6 @@ class CompiledProblem(ABC):
     @abstractmethod
     def n_columns(self) -> int:
         """Number of columns of the linear program."""
-
-    @property
-    def survival(self) -> float:
-        """The discount, 1 in the exact setting."""
-        return survival_of(self.discount)
 
     def capped_at(self, cost: float) -> Self:
         """Return the problem with a cap of about this accumulated cost, if ``is_long_shot``."""
@@ -154,19 +215,19 @@ class CompiledProblem(ABC):
             reach: the greatest goal probability.
             failure: failure of the safest policy.
         """
-        proved = reach.least_failure(self.start)
+        facts = self.facts
+        proved = reach.least_failure(facts.start)
         if failure - proved > PROVED_OF_MANY:  # sweeps may prove more than an evaluation
-            again = goal_reach.greatest_goal_reach(
-                self.model, self.survival, self.start, last_digits=False
-            )
-            proved = max(proved, again.least_failure(self.start))
+            how = facts.model, facts.survival, facts.start
+            again = goal_reach.greatest_goal_reach(*how, last_digits=False)
+            proved = max(proved, again.least_failure(facts.start))
         return min(proved, failure)
 
     def failure_at_least(self, discount: float | None) -> float:
         """Return the least failure of all policies under a discount."""
-        survival = survival_of(discount)
-        reach = goal_reach.greatest_goal_reach(self.model, survival, self.start).goal
-        return max(1.0 - float(self.start @ reach), 0.0)
+        model, start = self.facts.model, self.facts.start
+        reach = goal_reach.greatest_goal_reach(model, survival_of(discount), start).goal
+        return max(1.0 - float(start @ reach), 0.0)
 
     @abstractmethod
     def pricing(self) -> PricingProblem:
@@ -226,12 +287,6 @@ class CompiledProblem(ABC):
         """
         return 0.0
 
-    def _copy_with_results(self, other: Self, *own: str) -> Self:
-        """Copy cached results to another problem, except those named ``own``; return it."""
-        shared = vars(self).keys() - vars(other).keys() - set(own)
-        vars(other).update({name: vars(self)[name] for name in shared})
-        return other
-
 
 def unreachable(
     model: SSP,
@@ -272,13 +327,14 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
         SolverError: the policy violates the budget, but the proof leaves open whether all do.
     """
     least_failure = compiled.least_failure()
-    failure, discounted = least_failure.column.failure, compiled.discount is not None
-    setting = compiled.model, compiled.start, budget, compiled.discount
+    failure, discounted = least_failure.column.failure, compiled.facts.discount is not None
+    facts = compiled.facts
+    setting = facts.model, facts.start, budget, facts.discount
     if compiled.ratio and least_failure.column.goal <= 0.0:
         raise unreachable(*setting)
     if budget is None or failure <= budget + LEAST_BUDGET:
         return least_failure
-    if goal_out_of_reach(compiled.model, compiled.start):
+    if goal_out_of_reach(facts.model, facts.start):
         raise unreachable(*setting, f"every policy fails surely, above the budget {budget:g}")
     proved = least_failure.proved
     if proved <= budget:
@@ -319,156 +375,60 @@ MOST_ENTRIES = 800_000_000
 """Most decisions of a table, nodes x layers: 0.8 GB a policy at a byte each."""
 
 
-def check_compiled_table(layers: int, base: AccumulatedCost, remedy: str) -> None:
-    """Check that the table of decisions is not too large; else raise :class:`ModelError`."""
-    if (layers + base.width) * base.n_nodes > MOST_ENTRIES:
-        raise ModelError(
-            f"too many layers of accumulated cost ({layers:.6g} of unit {base.unit:g}, on "
-            f"{base.n_nodes:,} states): use a coarser grid of costs or a smaller {remedy}"
-        )
+class Tails(Enum):
+    """Kinds of policies that a layered problem follows beyond its cap."""
 
+    LEAST_FAILURE = "the policies of greatest and of least goal probability"
+    ANY_WAY = "a policy to the goal that is cheap to find, or failing"
+    FAILING = "failing alone, for a bound of the other policies"
 
-class _CompiledLayered(CompiledProblem):
-    """A compiled problem whose process is layered."""
-
-    charge: Charge
-
-    @property
-    @abstractmethod
-    def base(self) -> AccumulatedCost:
-        """One layer of the process."""
-
-    @property
-    @abstractmethod
-    def process(self) -> LayeredProcess:
-        """The process, truncated at the cap."""
-
-    @cached_property
-    def greatest(self) -> goal_reach.GoalReach:
-        """The greatest goal probability."""
-        return goal_reach.greatest_goal_reach(self.model, self.survival)
-
-    @cached_property
-    def safest_policy(self) -> goal_reach.ReachPolicy:
-        """The cheapest policy of greatest goal probability."""
-        return goal_reach.cheapest_reach(self.model, self.greatest, self.survival)
-
-    @cached_property
-    def riskiest(self) -> tuple[goal_reach.GoalReach, goal_reach.ReachPolicy]:
-        """The least goal probability and the cheapest policy that attains it (pi'_or)."""
-        least = goal_reach.least_goal_reach(self.model, self.survival)
-        return least, goal_reach.cheapest_reach(self.model, least, self.survival)
-
-    def _tails_of(
-        self,
-        first: goal_reach.ReachPolicy,
-        last: goal_reach.ReachPolicy,
-        greatest: FloatArray,
-        least: FloatArray,
-        **more: Any,
-    ) -> LayeredTails:
-        """Return the tails: a policy to the goal, one that fails, and goal bounds, [states]."""
-        decisions = np.stack([first.decision, last.decision]).astype(np.int32)
-        at = self.base.quotient.least_over_members
-        values = TailValues.stacked([first.values, last.values], at)
-        return LayeredTails(decisions, values, -at(-greatest), at(least), **more)
-
-    @property
-    def layers(self) -> int:
-        """Number of layers below the cap."""
-        return self.process.cap
-
-    @property
-    def n_columns(self) -> int:
-        """Number of pairs of all layers."""
-        return self.process.cap * len(self.base.quotient.pair_at)
-
-    def pricing(self) -> LayeredPricing:
-        """Return the pricing problem, solved by one backward sweep over the layers."""
-        return LayeredPricing(self.process)
-
-    def explicit(self) -> ExplicitProcess:
-        """Return the process with all layers below the cap written out."""
-        return written_out.materialise(self.process)
-
-    def explicit_choice(self, column: Column) -> IntArray:
-        """Return the column's pairs: in all layers, in the tails, and at the source."""
-        return written_out.chosen_pairs(self.process, required(column.choice), column.tail_price)
-
-    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Return the part of a bound that the cap loses; 0 if it is proved lossless."""
-        return self.pricing().tail_loss(price, slack=slack, proof=proof)
-
-
-_FIRST_LAYERS = 2.5
-"""First cap, as a multiple of the first tail policy's cost given success."""
-
-_MOST_STEPS = 256
-"""First cap, in steps, above which it is a long shot: the tail policy is no guide."""
 
 _LARGE = 10_000_000
 """Entries of a layer from which a policy to the goal is followed, not solved for."""
 
-_MARGIN = 1.02
-"""Factor of the cap that a trial's price implies, as the price still changes a little."""
+MOST_STEPS = 256
+"""First cap, in steps, above which it is a long shot: the tail policy is no guide."""
 
-_MOST_GROWTH = 4
-"""Most growth of a cap in one step: more comes from a high price near the least failure."""
+_LEAST = 1e-12  # relative rounding of the goal probability that all safest policies attain
 
 
 @dataclass(frozen=True, eq=False)
-class CompiledAccumulatedCost(_CompiledLayered):
-    """Minimise E[cost | goal], failure limited (paper, section 3.1.1).
+class LayerAndTails:
+    """One layer of the accumulated cost, and the policies beyond the cap.
 
-    ``cap`` is the last layer of accumulated cost; None: a first guess, to find the price. From
-    accumulated cost kappa on, failing is optimal in every state where it is possible for sure.
-    A cap at kappa therefore loses (almost) nothing with simple tails: any policy to the goal and
-    the trivial bound of its goal probability. The exact policies of greatest goal probability are
-    computed only if kappa is too large for such a cap.
+    Problems that differ in their cap share this object. Problems that differ in their charge share
+    it too, unless the charge is an exponential utility, which has tails of its own.
     """
 
-    model: SSP
-    start: FloatArray  # [states]
-    discount: float | None = None
-    fixed_cap: float | None = None  # the user's cap on accumulated cost
-    cap: int | None = None  # layers
-    exact_tails: bool = False  # tails of least failure beyond the cap, not any way to the goal
-    is_for_bounds: bool = False  # for bounds only: no tail to the goal is computed
-
-    ratio = True
-    charge = TOTAL_COST
+    facts: GoalFacts
+    counts_law: bool = False  # whether any charge of the total cost may follow, the mean otherwise
+    by_sums: bool = False  # layers are the sums of step costs that can occur, and a unit is 1
+    safest_only: bool = False  # only policies of least failure
+    may_fail: bool = True  # whether failing may be optimal; otherwise the goal is always better
+    utility: ExponentialUtility | None = None
+    side: tuple[UpperRow, ...] = ()  # further limits, whose bounds have no effect
 
     @cached_property
-    def lowest(self) -> float:
-        """Lower bound of the objective: least number of steps times least cost."""
-        begins = np.flatnonzero(self.start)
-        begins = begins[~dead_ends(self.model)[begins]]
-        if self.discount is not None or not begins.size:
-            return 0.0
-        steps, same = int(goal_approach(self.model)[1][begins].min()), uniform_cost(self.model)
-        if steps == 0:
-            return 0.0
-        last = float(self.model.costs.min()) if same is None else same
-        going_on = self.base.step_classes.least * self.base.unit if same is None else same
-        return ((steps - 1) * going_on + last) * (1.0 - 2.0 * MACHINE_EPSILON)
+    def safest(self) -> LayerAndTails:
+        """The layer with the pairs of greatest goal probability alone."""
+        return replace(self, safest_only=True)
 
     @cached_property
     def base(self) -> AccumulatedCost:
-        """One layer of the accumulated-cost process."""
-        return accumulate_cost(self.model, self.start, self.discount)
-
-    @property
-    def is_trial(self) -> bool:
-        """Whether the cap on accumulated cost is a guess."""
-        return self.cap is None and self.fixed_cap is None and not self._has_exact_tails
+        """One layer of the process."""
+        facts = self.facts
+        return accumulate_cost(
+            facts.model,
+            facts.start,
+            facts.discount,
+            arrivals=self.counts_law,
+            usable=facts.greatest.usable if self.safest_only else None,
+            side=self.side,
+            by_steps=self.by_sums,
+        )
 
     @cached_property
-    def _directed(self) -> goal_reach.ReachPolicy:
-        """A policy to the goal, the tail beyond the cap."""
-        return goal_reach.goal_directed(self.model, self.survival)
-
-    @cached_property
-    def _guess(self) -> tuple[float, float] | None:
+    def guess(self) -> tuple[float, float] | None:
         """Approximate (E[cost; goal], goal) of a policy to the goal, in a large process.
 
         There an evaluation would take longer than a sweep. The tail beyond the cap is then the
@@ -476,383 +436,114 @@ class CompiledAccumulatedCost(_CompiledLayered):
         """
         base, later = self.base, self.base.later
         is_large = base.instant.nnz == 0 and later.nnz >= _LARGE
-        if self.exact_tails or not is_large or base.quotient.merged.any():
+        if not is_large or base.quotient.merged.any():
             return None
         if not accelerated(later.nnz, "layers.follow_layer"):
             return None
-        rule = base.quotient.placed(goal_approach(self.model)[0]) - base.pair_offsets[:-1]
-        return follow_rule(base, rule, _MOST_STEPS)
-
-    @cached_property
-    def is_long_shot(self) -> bool:
-        """Whether the policy to the goal takes too many steps to give a cap."""
-        if self.exact_tails or self.base.quotient.merged.any():
-            return False
-        if self.cap is not None or self.fixed_cap is not None:
-            return False
-        if self._guess is not None:
-            cost, goal = self._guess[0], self._guess[1] + self.base.start_goal
-        else:
-            directed = self._directed.values
-            cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
-        steps = _FIRST_LAYERS * cost / max(goal, 1e-300) / (self.base.unit * self.base.width)
-        return steps > _MOST_STEPS
-
-    @cached_property
-    def _has_exact_tails(self) -> bool:
-        """Whether the tails are the policies of least failure."""
-        return self.exact_tails or bool(self.base.quotient.merged.any()) or self.is_long_shot
-
-    def capped_at(self, cost: float) -> CompiledAccumulatedCost:
-        """Return the problem with a cap of about this accumulated cost.
-
-        If no policy avoids the goal surely from the start, every cap loses something, and the tails
-        become exact at once.
-        """
-        exact = float(self.start @ self.riskiest[0].goal) > 0.0
-        most = MOST_ENTRIES // max(self.base.n_nodes, 1) - 2 * self.base.width
-        layers = int(min(np.ceil(cost / self.base.unit), max(most, 0))) + self.base.width
-        return self._copy_for_cap(replace(self, cap=layers, exact_tails=exact))
-
-    def least_failure(self) -> LeastFailure:
-        """Return the policy of greatest goal probability, then of least E[cost; goal].
-
-        For least failure the accumulated cost is not needed: a transition to x' is priced
-        ``g * Pmax(x')`` (mathematics, section 4).
-        """
-        safest, values = self.safest_policy, self.safest_policy.values
-        cost, goal = float(self.start @ values.cost), float(self.start @ values.goal)
-        policy = DeterministicPolicy(self.model, safest.decision)
-        column = Column(cost, float(self.start @ values.failure), goal, None, policy=policy)
-        greatest = float(self.start @ self.greatest.bound)
-        ratio = float(self.start @ safest.bound) / greatest if greatest > 0 else 0.0
-        bound = min(ratio, cost / goal if goal > 0.0 else np.inf)
-        return LeastFailure(
-            policy, column, bound, self.proved_failure(self.greatest, column.failure)
+        directed = goal_approach(self.facts.model)[0]
+        return follow_rule(
+            base, base.quotient.placed(directed) - base.pair_offsets[:-1], MOST_STEPS
         )
 
     @cached_property
-    def process(self) -> LayeredProcess:
-        """The layered process, truncated at the cap."""
-        base, layers = self.base, self.cap
-        if layers is None and self.fixed_cap is not None:
-            layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
-        elif layers is None:
-            tails = self._tails
-            cost, goal = tails.guess or (base.start @ tails.first.cost, base.start @ tails.goal[0])
-            typical = float(cost) / max(float(goal) + base.start_goal, 1e-300) / base.unit
-            layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
-        check_compiled_table(layers, base, "cost_cap")
-        return LayeredProcess(base, base.totals(layers), self._tails)
-
-    def refined(self, price: float) -> CompiledAccumulatedCost | None:
-        """Return the problem with more layers or better tails; None: nothing to improve."""
-        here, exact = self.process.cap, self._has_exact_tails
-        lossless = int(np.ceil(_MARGIN * price / self.base.unit)) + 1
-        if self.fixed_cap is not None:
-            return None if exact else self._copy_for_cap(replace(self, exact_tails=True))
-        if self.is_trial and lossless <= _MOST_GROWTH * here:
-            wanted = lossless
-        elif not exact:
-            wanted, exact = lossless if here < lossless <= _MOST_GROWTH * here else here, True
-        else:
-            wanted = lossless if here < lossless <= 2 * here else 2 * here
-        if wanted * self.base.n_nodes > MOST_ENTRIES:
-            if self._has_exact_tails:
-                return None
-            wanted, exact = here, True
-        return self._copy_for_cap(replace(self, cap=wanted, exact_tails=exact))
-
-    def matching(
-        self, values: FloatArray, levels: FloatArray | None = None
-    ) -> CompiledAccumulatedCost:
-        """Return the problem with as many layers as the value function, [layers, nodes].
-
-        Its tails are the riskiest policy alone; :meth:`for_program` has exact tails.
-
-        Raises:
-            ModelError: the array has no layers.
-        """
-        if values.ndim != 2 or values.shape[0] == 0:
-            raise ModelError("values of a wrong shape: pass an array of [layers, nodes]")
-        return self._copy_for_cap(replace(self, cap=values.shape[0], is_for_bounds=True))
-
-    def for_program(self) -> CompiledAccumulatedCost:
-        """Return the problem with exact tails, the best beyond the cap in any program."""
-        if self._has_exact_tails:
-            return self
-        exact = self._copy_for_cap(replace(self, exact_tails=True))
-        return self._copy_for_cap(replace(exact, cap=exact.process.cap))
-
-    def _copy_for_cap(self, other: CompiledAccumulatedCost) -> CompiledAccumulatedCost:
-        """Copy all results that do not depend on the cap; return the copy."""
-        own = "process", "is_long_shot", "_has_exact_tails", "_tails"
-        other = self._copy_with_results(other, *own)
-        if "_tails" in vars(self) and self._has_exact_tails == other._has_exact_tails:
-            vars(other)["_tails"] = self._tails
-        return other
-
-    @cached_property
-    def _tails(self) -> LayeredTails:
-        """The tails beyond the cap."""
-        least, riskiest = self.riskiest
-        if self._has_exact_tails:
-            return self._tails_of(self.safest_policy, riskiest, self.greatest.bound, least.bound)
-        first = riskiest if self.is_for_bounds or self._guess else self._directed
-        greatest = np.full(self.model.n_states, self.survival)
-        guess = None if self.is_for_bounds else self._guess
-        return self._tails_of(first, riskiest, greatest, least.bound, exact=False, guess=guess)
-
-
-_FIRST_TOTALS = 64  # first cap of a charge that never settles
-_NEARLY = 1.25  # first cap of a trial, in costs given success of a policy to the goal
-_TYPICAL = 2.5  # first cap, in costs given success of the safest policy
-
-_MOST_LAYERS = 100_000
-"""Most layers of a charge that never settles; the gap that remains is reported."""
-
-_DOUBLINGS = 60  # most doublings of a cap
-_LOWER = 0.5  # factor of a cap below which too many sums lie
-_BEYOND = 1e-9  # relative distance of a total that lies beyond another
-_LEAST = 1e-12  # relative rounding of the goal probability that all safest policies attain
-_OF_TAILS: tuple[str, ...] = ("_tails", "_moments", "cost_horizon")
-_LOST = 1e-6  # goal probability that a policy of least failure may lose to rounding of long runs
-
-
-@dataclass(frozen=True, eq=False)
-class CompiledArrivalCost(_CompiledLayered):
-    """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), failure limited; exact.
-
-    The layers of accumulated cost end where the charge becomes affine, as the optimal tail is then
-    known in closed form. If the affine charge grows, they end, as in case S, at the price from
-    which failing is optimal. A charge that never becomes affine is truncated and refined.
-    """
-
-    model: SSP
-    start: FloatArray  # [states]
-    charge: Charge
-    ratio: bool = False
-    safest_only: bool = False  # only policies of least failure
-    cap: float | None = None  # total at which the layers end, in units; None: from the charge
-    by_sums: bool = False  # layers are the sums of step costs that can occur, and a unit is 1
-    discount: None = None
-
-    @property
-    def is_trial(self) -> bool:
-        """Whether the cap is a guess to find the price."""
-        grows = self.charge.slope > 0.0 and not self.safest_only
-        return self.by_sums and self.cap is None and grows
-
-    @cached_property
-    def base(self) -> AccumulatedCost:
-        """One layer of the process."""
-        usable = self.greatest.usable if self.safest_only else None
-        return accumulate_cost(
-            self.model, self.start, None, arrivals=True, usable=usable, by_steps=self.by_sums
-        )
-
-    @cached_property
-    def _moments(self) -> goal_reach.ReachPolicy | None:
+    def moments(self) -> goal_reach.ReachPolicy | None:
         """The tail of an exponential utility; None: another charge."""
-        if not isinstance(self.charge, ExponentialUtility):
+        if self.utility is None:
             return None
-        keeping = pairs_keeping_goal(self.model, self.greatest) if self.charge.bonus > 0.0 else None
-        return greatest_moment(self.model, self.charge.rate, keeping)
+        model, greatest = self.facts.model, self.facts.greatest
+        keeping = pairs_keeping_goal(model, greatest) if self.utility.bonus > 0.0 else None
+        return greatest_moment(model, self.utility.rate, keeping)
 
     @cached_property
     def cost_horizon(self) -> float:
         """Accumulated cost from which the stationary tail is optimal; 0: unknown."""
-        charge, moments = self.charge, self._moments
-        if moments is None or not isinstance(charge, ExponentialUtility) or charge.bonus == 0.0:
+        utility, moments = self.utility, self.moments
+        if utility is None or moments is None or utility.bonus == 0.0:
             return 0.0
-        return cost_horizon(self.model, self.greatest, moments, charge.rate, charge.bonus)
+        model, greatest = self.facts.model, self.facts.greatest
+        return cost_horizon(model, greatest, moments, utility.rate, utility.bonus)
 
     @cached_property
-    def process(self) -> LayeredProcess:
-        """The process, truncated at the cap."""
-        cap = self._first_guess() if self.cap is None else self.cap
-        if self.by_sums:
-            while (totals := self._totals(cap)) is None:  # as many as fit; the gap shows the loss
-                check_time()
-                cap *= _LOWER
-        else:
-            check_compiled_table(int(cap), self.base, "bound on them")
-            totals = self.base.totals(int(cap))
-        return LayeredProcess(self.base, totals, self._tails, self.charge)
+    def exact_tails(self) -> LayeredTails:
+        """The tails of least failure, or of greatest moment."""
+        facts, at, moments = self.facts, self.base.quotient.least_over_members, self.moments
+        first = facts.safest if moments is None else moments
+        last, least, least_cost = first, np.zeros(facts.model.n_states), None
+        if self.safest_only:
+            least, least_cost = facts.greatest.goal * (1.0 - _LEAST), at(facts.safest.bound)
+        elif self.may_fail:
+            least, last = facts.least.bound, facts.riskiest
+        moment = None if moments is None else -at(-moments.bound)
+        return self._tails(first, last, least, least_cost=least_cost, greatest_moment=moment)
 
-    def _totals(self, cap: float) -> Totals | None:
-        """Return the sums of step costs below a cap, as layers; None: too many."""
+    @cached_property
+    def simple_tails(self) -> LayeredTails:
+        """A policy to the goal, and the riskiest policy."""
+        facts, guess = self.facts, self.guess
+        first = facts.riskiest if guess else facts.directed
+        return self._tails(first, facts.riskiest, facts.least.bound, exact=False, guess=guess)
+
+    @property
+    def failing_tails(self) -> LayeredTails:
+        """The riskiest policy alone."""
+        riskiest = self.facts.riskiest
+        return self._tails(riskiest, riskiest, self.facts.least.bound, exact=False)
+
+    def _tails(
+        self,
+        first: goal_reach.ReachPolicy,
+        last: goal_reach.ReachPolicy,
+        least: FloatArray,
+        *,
+        exact: bool = True,
+        **more: Any,
+    ) -> LayeredTails:
+        """Return tails with bounds of the goal probability of every policy.
+
+        Args:
+            first: a policy to the goal.
+            last: a policy that fails.
+            least: lower bound of the goal probability, [states].
+            exact: whether the upper bound is that of the safest policies, or the trivial one.
+            more: further fields of the tails.
+        """
+        facts, at = self.facts, self.base.quotient.least_over_members
+        greatest = facts.greatest.bound if exact else np.full(len(least), facts.survival)
+        decisions = np.stack([first.decision, last.decision]).astype(np.int32)
+        values = TailValues.stacked([first.values, last.values], at)
+        return LayeredTails(decisions, values, -at(-greatest), at(least), exact=exact, **more)
+
+    def totals(self, cap: float) -> Totals | None:
+        """Return the totals below a cap, in units; None: too many sums of step costs."""
+        if not self.by_sums:
+            return self.base.totals(int(cap))
+        model = self.facts.model
         room = min(MOST_SUMS, MOST_ENTRIES // max(self.base.n_nodes, 1))
-        sums, steps = sums_in(self.model, cap, room), step_costs(self.model)[1]
+        sums, steps = sums_in(model, cap, room), step_costs(model)[1]
         if sums is None:
             return None
         return Totals(read_only(np.append(sums, cap)), steps, complete=True)
 
-    def _units(self, total: float) -> float:
+    def units(self, total: float) -> float:
         """Return a total in units, rounded up if layers are multiples of the unit."""
         return total if self.by_sums else int(min(np.ceil(total / self.base.unit), 1e15))
 
-    def _settled_units(self) -> float:
-        """Return the total, in units, from which the charge is affine or the tail optimal."""
-        settled = self.charge.settled or 0.0
-        if isinstance(self.charge, ExponentialUtility):
-            return max(self._units(self.cost_horizon), self._least_units)
-        if self.base.width == 1 and not self.by_sums:
-            return 1  # no step costs anything
-        if not self.by_sums:
-            return max(layers_within(settled, self.base.exact_unit), 1)
-        return max(settled * (1.0 + _BEYOND), self._least_units)
-
     @property
-    def _least_units(self) -> float:
+    def least_units(self) -> float:
         """Smallest cap: one layer; by sums, that of total 0."""
-        return _BEYOND * float(step_costs(self.model)[1].max()) or 1.0 if self.by_sums else 1
-
-    def _first_guess(self) -> float:
-        """Return the first cap: the layers that are needed in any case, and a guess of more."""
-        if self.is_trial:
-            directed = goal_reach.goal_directed(self.model).values
-            cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
-            return self._settled_units() + _NEARLY * cost / max(goal, 1e-300)
-        goal = float(self.base.start @ self._tails.goal[0])
-        cost = float(self.base.start @ self._tails.first.cost)
-        typical = self._units(_TYPICAL * cost / max(goal, 1e-300))
-        width = float(step_costs(self.model)[1][-1]) if self.by_sums else self.base.width
-        if self.charge.settled is None:
-            first = typical if self.by_sums else _FIRST_TOTALS
-            return max(first + width, self._least_units)
-        if self.charge.slope == 0.0 or self.safest_only:
-            return self._settled_units()
-        return self._settled_units() + typical + width
-
-    @cached_property
-    def _tails(self) -> LayeredTails:
-        """The tails beyond the cap."""
-        at, moments = self.base.quotient.least_over_members, self._moments
-        first = self.safest_policy if moments is None else moments
-        last, least, least_cost = first, np.zeros(self.model.n_states), None
-        if self.safest_only:
-            least = self.greatest.goal * (1.0 - _LEAST)
-            least_cost = at(self.safest_policy.bound)
-        elif self.ratio:  # otherwise the goal is never worse than failing
-            least, last = self.riskiest[0].bound, self.riskiest[1]
-        greatest_moment = None if moments is None else -at(-moments.bound)
-        return self._tails_of(
-            first,
-            last,
-            self.greatest.bound,
-            least,
-            least_cost=least_cost,
-            greatest_moment=greatest_moment,
-        )
-
-    @property
-    def lowest(self) -> float:
-        """Lower bound of the objective, known without a search."""
-        return self.charge.lowest
-
-    def least_failure(self) -> LeastFailure:
-        """Return the policy of least charge among those of least failure; it may remember the cost.
-
-        Raises:
-            ModelError: its runs have so many zero-cost steps that rounding errors add up.
-        """
-        pricing = self.safest().pricing()
-        best = pricing.minimise(0.0)
-        if best.goal < float(self.start @ self.greatest.goal) - _LOST:
-            raise ModelError(
-                "zero-cost cycles make a policy run too long for its failure probability to be "
-                "computed: give these actions a positive cost, or round the costs"
-            )
-        policy, bound = pricing.policy(best), pricing.prove(0.0, best).bound
-        greatest = min(float(self.start @ self.greatest.bound), 1.0)
-        if self.ratio:
-            bound = bound / greatest if greatest > 0.0 else 0.0
-        proved = self.proved_failure(self.greatest, best.failure)
-        return LeastFailure(policy, replace(best, choice=None, policy=policy), bound, proved)
-
-    def lossless_units(self, price: float) -> float:
-        """Return the total from which failing is optimal at this price, with a margin.
-
-        If the charge is constant in the end, it is the total from which it is.
-        """
-        charge, settled = self.charge, self._settled_units()
-        if charge.slope == 0.0:
-            return settled
-        room = 0 if self.by_sums else 1
-        return max(settled, self._units(_MARGIN * charge.lossless(price)) + room)
-
-    def refined(self, price: float) -> CompiledArrivalCost | None:
-        """Return the problem with the layers that the price requires, or twice as many."""
-        here, charge = self.process.end, self.charge
-        wanted = 2 * here
-        if charge.settled is None:
-            wanted = wanted if self.by_sums else min(wanted, _MOST_LAYERS)
-        elif charge.slope == 0.0 or self.safest_only:
-            return None
-        else:
-            lossless = self.lossless_units(price)
-            near = self.is_trial or here < lossless
-            wanted = lossless if near and lossless <= 4 * here else wanted
         if not self.by_sums:
-            entries = (wanted + self.base.width) * self.base.n_nodes
-            fits = here < wanted and entries <= MOST_ENTRIES
-        elif not (fits := self._totals(wanted) is not None) and self.is_trial:
-            return self.charging(charge, here)  # keep the cap of the trial
-        return self.charging(charge, wanted) if fits else None
+            return 1
+        return written_out.BEYOND * float(step_costs(self.facts.model)[1].max()) or 1.0
 
-    def charging(self, charge: Charge, cap: float | None = None) -> CompiledArrivalCost:
-        """Return the problem with another charge and cap; common results are shared.
 
-        An exponential utility has other tails.
-        """
-        own = _OF_TAILS
-        exponential = (isinstance(c, ExponentialUtility) for c in (charge, self.charge))
-        if charge == self.charge or not any(exponential):
-            vars(self)["_tails"], own = self._tails, ()
-        return self._copy_with_results(replace(self, charge=charge, cap=cap), "process", *own)
+_UNPROVED = 1e-10
+"""Relative gap with least failure above which pairs are compared in twice the working precision."""
 
-    def safest(self) -> CompiledArrivalCost:
-        """Return the problem restricted to the policies of least failure."""
-        _ = self.safest_policy  # computed once
-        safest = replace(self, safest_only=True, cap=None)
-        return self._copy_with_results(safest, "process", "base", *_OF_TAILS)
+CAP_MARGIN = 1.02
+"""Factor of the cap that a trial's price implies, as the price still changes a little."""
 
-    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledArrivalCost:
-        """Return the problem with as many layers as the value function, [layers, nodes].
-
-        Args:
-            values: the value function.
-            levels: layer totals of a policy found with it, of which the last is the cap.
-
-        Raises:
-            ModelError: the array has too few or too many layers for the charge.
-        """
-        least = self._settled_units()
-        if values.ndim != 2 or values.shape[0] < (1 if self.by_sums else least):
-            raise ModelError(f"values of too few layers: pass an array of {least} or more layers")
-        if not self.by_sums:
-            return self.charging(self.charge, values.shape[0])
-        cap, n_layers, end = least, values.shape[0], None
-        while self._totals(cap) is None:  # as many as fitted
-            check_time()
-            cap *= _LOWER
-        if levels is not None and levels[-1] >= cap:
-            capped = self.charging(self.charge, float(levels[-1]))
-            if capped.process.cap == n_layers:
-                return capped
-        for _ in range(_DOUBLINGS):
-            if (totals := self._totals(cap)) is None:
-                break
-            if totals.size >= n_layers:  # the greatest cap with this number of sums
-                end = float(totals.values[n_layers])
-            if totals.size > n_layers:
-                break
-            cap *= 2.0
-        if end is None:
-            raise ModelError("values of too many layers: pass an array of fewer layers")
-        return self.charging(self.charge, end)
-
+MOST_GROWTH = 4
+"""Most growth of a cap in one step: more comes from a high price near the least failure."""
 
 ATTAINABLE = 1e-10
 """A bound this much below the least attainable total, relative to it, counts as equal to it."""
@@ -865,8 +556,6 @@ _WORTH_SWEEPING = 400  # entries of a layer from which pricing by layers is fast
 _ROOM = 6_000_000  # most pairs with layers that are not multiples of a unit
 _ROUGHLY = 0.5  # layers of a trial, in those of a first attempt
 _CLEARLY = 1e-9  # share of a budget, or of the goal it demands, that exceeds rounding
-_OWN = {"augmented", "explicit_pricing", "_pricing", "totals", "layers"}
-"""Cached results that depend on the charge, the cap or the resolution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -877,13 +566,12 @@ class CompiledExplicit(CompiledProblem):
     total cost (section 3.1.1) the objective is E[charge; goal], or E[charge | goal] if ``ratio``.
     """
 
-    model: SSP
-    start: FloatArray  # [states]
+    facts: GoalFacts
     semantics: FailureSemantics
-    discount: float | None = None
     side: tuple[UpperRow, ...] = ()
     budget: float | None = 1.0
     charge: Charge | None = None
+    layer: LayerAndTails | None = None  # of the charge
     ratio: bool = False
     cap: int | None = None  # layers; None: a first guess
     fixed_cap: float | None = None  # the user's cap on accumulated cost
@@ -892,7 +580,11 @@ class CompiledExplicit(CompiledProblem):
     objective: UpperRow | None = None  # minimised instead of the cost; then without a charge
     resolution: Resolution | None = None  # of layers that are not multiples of a unit
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure
+    priced: ExplicitPricing | OpenEndedPricing | None = None  # shared with other bounds
 
+    lowest: ClassVar[float] = 0.0
+    is_long_shot: ClassVar[bool] = False
+    cost_horizon: ClassVar[float] = 0.0
     is_whole: ClassVar[bool] = True  # whether other problems on the model can be solved here
 
     def counting_rare_success(self, budget: float | None) -> Self:
@@ -901,11 +593,12 @@ class CompiledExplicit(CompiledProblem):
         This avoids cancellation in ``1 - failure`` and in limits on the probability of ends.
         """
         demanded = 0.0 if budget is None else demanded_goal(budget)
-        side = tuple(row.by_digits for row in self.side)
         is_rare = 0.0 < demanded < RARE_GOAL
         if demanded == 0.0 and self.ratio:
             is_rare = self.greatest_goal < RARE_GOAL
-        return replace(self, side=side, by_goal=self.by_goal or is_rare)
+        side, by_goal = tuple(row.by_digits for row in self.side), self.by_goal or is_rare
+        layer = None if self.layer is None else replace(self.layer, side=side)
+        return replace(self, side=side, layer=layer, by_goal=by_goal, priced=None)
 
     @property
     def may_be_rare(self) -> bool:
@@ -962,18 +655,18 @@ class CompiledExplicit(CompiledProblem):
 
     def least_failure(self) -> LeastFailure:
         """Return the policy of greatest goal probability, then of least cost."""
-        how = self.model, self.start, self.semantics, self.discount
+        facts, greatest = self.facts, self.facts.greatest_from_start
         self.check_sure()
-        stage = label_failure(*how, self.greatest.usable)
-        begun_from = stage.placed(self.greatest.decision)
+        how = facts.model, facts.start, self.semantics, facts.discount
+        stage = label_failure(*how, greatest.usable)
+        begun_from = stage.placed(greatest.decision)
         second = ExplicitPricing(stage, begun_from=begun_from, by_goal=self.by_goal)
         column = second.minimise(0.0)
         bound = second.prove(0.0, column).bound
         policy = second.policy(column)
         foreign = replace(column, choice=None, found_at=None, policy=policy)
-        return LeastFailure(
-            policy, foreign, bound, self.proved_failure(self.greatest, column.failure)
-        )
+        proved = self.proved_failure(greatest, column.failure)
+        return LeastFailure(policy, foreign, bound, proved)
 
     def check_sure(self) -> None:
         """Check that the goal can be reached surely, if failing is forbidden.
@@ -983,15 +676,16 @@ class CompiledExplicit(CompiledProblem):
         """
         if not self.semantics.forbids_failing:
             return
-        unsure = np.flatnonzero(~surely_reaching(self.model)[0] & (self.start > 0.0))
+        facts = self.facts
+        unsure = np.flatnonzero(~surely_reaching(facts.model)[0] & (facts.start > 0.0))
         if not unsure.size:
             return
         words = (
-            f"no policy reaches the goal surely from state {self.model.states[unsure[0]]!r}: the "
+            f"no policy reaches the goal surely from state {facts.model.states[unsure[0]]!r}: the "
             "cost is infinite"
         )
-        if goal_out_of_reach(self.model, self.start):
-            raise unreachable(self.model, self.start, 0.0, self.discount, words)
+        if goal_out_of_reach(facts.model, facts.start):
+            raise unreachable(facts.model, facts.start, 0.0, facts.discount, words)
         raise InfeasibleError(
             f"{words}; use MCMP for the cheapest of the policies that fail least",
             failure_budget=0.0,
@@ -1000,8 +694,9 @@ class CompiledExplicit(CompiledProblem):
 
     def _least_failure_alone(self) -> float:
         """Return the least failure probability, computed when an error is asked for it."""
+        model, start = self.facts.model, self.facts.start
         with limited(READING, "the least failure probability was computed"):
-            return max(1.0 - goal_reach.greatest_goal_from(self.model, self.start), 0.0)
+            return max(1.0 - goal_reach.greatest_goal_from(model, start), 0.0)
 
     @property
     def limits_failure(self) -> bool:
@@ -1020,50 +715,51 @@ class CompiledExplicit(CompiledProblem):
         """
         self.check_sure()
         if self.ratio and all(column.goal <= 0.0 for column in known) and self.greatest_goal <= 0.0:
-            raise unreachable(self.model, self.start, self.budget, self.discount)
+            facts = self.facts
+            raise unreachable(facts.model, facts.start, self.budget, facts.discount)
         if self.budget is None or not self.limits_failure:
             return self
         row = FailureRow(self.budget, self.ratio)
         room = _CLEARLY * min(self.budget, row.demanded)
         if any(row.spare(column) > room for column in known):
             return self
-        return replace(self, budget=None) if row.spare(self.least.column) <= 0.0 else self
+        if row.spare(self.least.column) > 0.0:
+            return self
+        return replace(self, budget=None, priced=None)
 
     @cached_property
     def greatest_goal(self) -> float:
         """Upper bound of the goal probability, discounted under a discount."""
-        reach = self.greatest
-        return float(self.start @ np.maximum(reach.goal, reach.bound))
-
-    @cached_property
-    def greatest(self) -> goal_reach.GoalReach:
-        """The greatest goal probability, and the pairs that attain it."""
-        return goal_reach.greatest_goal_reach(self.model, self.survival, self.start)
+        reach = self.facts.greatest_from_start
+        return float(self.facts.start @ np.maximum(reach.goal, reach.bound))
 
     @cached_property
     def least_goal(self) -> float:
         """Lower bound of the goal probability of every policy within the budget."""
-        least = float(self.start @ self._least_goals)
+        least = float(self.facts.start @ self._least_goals)
         return max(self._demanded, least, 0.0)
 
-    @cached_property
+    @property
     def _least_goals(self) -> FloatArray:
         """Lower bound of the goal probability of every policy, [states]."""
         if self.budget is None:
-            return self.greatest.goal * (1.0 - ATTAINABLE)
-        return goal_reach.least_goal_reach(self.model, self.survival).bound
+            return self.facts.greatest_from_start.goal * (1.0 - ATTAINABLE)
+        return self.facts.least.bound
 
     @cached_property
     def augmented(self) -> FailureLabelled | written_out.OpenEnded:
         """The process, with end components collapsed that are free in all rewards."""
+        facts = self.facts
+        if self.priced is not None:
+            return cast("FailureLabelled | written_out.OpenEnded", self.priced.augmented)
         if self.charge is None:
             self.check_sure()
-            usable = None if self.budget is not None else self.greatest.usable
-            setting = self.start, self.semantics, self.discount, usable
-            return label_failure(self.model, *setting, self.side, self.objective)
+            usable = None if self.budget is not None else facts.greatest_from_start.usable
+            setting = facts.start, self.semantics, facts.discount, usable
+            return label_failure(facts.model, *setting, self.side, self.objective)
         layers = self.layers  # checks the number of pairs
         how = self.base, self.charge, self.sense.shift, self.totals or self.base.totals(layers)
-        return written_out.OpenEnded(*how, self.start, self._least_goals)
+        return written_out.OpenEnded(*how, facts.start, self._least_goals)
 
     @property
     def is_rounded(self) -> bool:
@@ -1075,8 +771,9 @@ class CompiledExplicit(CompiledProblem):
         """The layers' totals; None: multiples of a unit, or no charge."""
         if self.resolution is None or self.charge is None:
             return None
-        first = written_out.first_total(self.charge, self.typical_cost)
-        return self.resolution.totals(self.model, first, self._room, grows=self.charge.slope > 0.0)
+        first = written_out.first_total(self.charge, self.facts.typical_cost)
+        grows = self.charge.slope > 0.0
+        return self.resolution.totals(self.facts.model, first, self._room, grows=grows)
 
     @property
     def _room(self) -> int:
@@ -1094,6 +791,8 @@ class CompiledExplicit(CompiledProblem):
     @cached_property
     def _pricing(self) -> ExplicitPricing | OpenEndedPricing:
         """The pricing problem, cached."""
+        if self.priced is not None:
+            return self.priced
         layered = self.augmented
         if not isinstance(layered, written_out.OpenEnded) or not self._is_swept:
             return self.explicit_pricing
@@ -1111,21 +810,18 @@ class CompiledExplicit(CompiledProblem):
     @cached_property
     def explicit_pricing(self) -> ExplicitPricing:
         """The pricing problem by policy iteration, with a price for each row."""
+        if isinstance(self.priced, ExplicitPricing):
+            return self.priced
         own = () if self.objective is None else (self.objective,)
         rows = self.row_coefficients((*own, *self.side))
         counted = rows.pop(0) if own else None
         if self.by_goal and self.semantics.aim is Aim.GREATEST_GOAL:
             counted = -self.augmented.process.goal
-        how = tuple(rows), counted, self._sure_choice
+        sure = None  # a choice that reaches the goal surely
+        if self.semantics.forbids_failing and isinstance(self.augmented, FailureLabelled):
+            sure = self.augmented.placed(surely_reaching(self.facts.model)[2])
+        how = tuple(rows), counted, sure
         return ExplicitPricing(self.augmented, *how, by_goal=self.by_goal)
-
-    @property
-    def _sure_choice(self) -> IntArray | None:
-        """A choice that reaches the goal surely; None: failing is allowed."""
-        augmented = self.augmented
-        if not self.semantics.forbids_failing or isinstance(augmented, written_out.OpenEnded):
-            return None
-        return augmented.placed(surely_reaching(self.model)[2])
 
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
         """Return the coefficients of each row, [process pairs] each."""
@@ -1133,34 +829,16 @@ class CompiledExplicit(CompiledProblem):
         if isinstance(augmented, written_out.OpenEnded):
             counting = augmented.counting(self.semantics)
             return [augmented.everywhere(*row.at(counting)) for row in rows]
-        counting = counting_of(augmented, self.start, self.semantics, self.discount)
+        facts = self.facts
+        counting = counting_of(augmented, facts.start, self.semantics, facts.discount)
         return [np.append(*row.at(counting))[: augmented.process.n_pairs] for row in rows]
 
     @cached_property
     def base(self) -> AccumulatedCost:
-        """One layer of the process."""
-        return accumulate_cost(
-            self.model,
-            self.start,
-            self.discount,
-            arrivals=self.semantics.counts_law,
-            usable=None if self.budget is not None else self.greatest.usable,
-            side=self.side,
-            by_steps=self.resolution is not None,
-        )
-
-    @cached_property
-    def typical_cost(self) -> float:
-        """Cost given success of the policy of least failure, to choose a cap."""
-        safest = goal_reach.cheapest_reach(self.model, self.greatest, self.survival).values
-        return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
-
-    @property
-    def _cost_of_a_way(self) -> float:
-        """Cost given success of a policy to the goal, to choose the cap of a trial."""
-        directed = goal_reach.goal_directed(self.model, self.survival).values
-        cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
-        return cost / max(goal, 1e-300)
+        """One layer of the process; ModelError: there is no charge."""
+        if self.layer is None:
+            raise ModelError("a problem without a charge has no layers of accumulated cost")
+        return (self.layer if self.budget is not None else self.layer.safest).base
 
     @cached_property
     def layers(self) -> int:
@@ -1169,7 +847,10 @@ class CompiledExplicit(CompiledProblem):
             return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
-            typical = _ROUGHLY * self._cost_of_a_way if self.is_trial else self.typical_cost
+            typical = self.facts.typical_cost
+            if self.is_trial:
+                cost, goal = self.facts.cost_and_goal(self.facts.directed)
+                typical = _ROUGHLY * cost / max(goal, 1e-300)
             layers = written_out.first_cap(self.base, self.charge, typical, self.fixed_cap)
         written_out.check_room(self.base, layers, self._most_pairs)
         return layers
@@ -1183,8 +864,7 @@ class CompiledExplicit(CompiledProblem):
         if exact == self.exact_tails or not (exact or (grows and self._is_swept)):
             return self
         is_trial = not exact and self.cap is None and self.fixed_cap is None
-        other = replace(self, exact_tails=exact, is_trial=is_trial)
-        return self._copy_with_results(other, *_OWN)
+        return replace(self, exact_tails=exact, is_trial=is_trial, priced=None)
 
     @property
     def _most_pairs(self) -> int:
@@ -1209,10 +889,10 @@ class CompiledExplicit(CompiledProblem):
             finer = self.resolution.finer(self.totals, enough, self._room)
             if finer is None:
                 return None
-            return self._copy_with_results(replace(self, resolution=finer), *_OWN)
+            return self.at_resolution(finer)
         here, pairs = self.layers, len(self.base.gain)
-        lossless = int(np.ceil(_MARGIN * self.charge.lossless(price) / self.base.unit)) + 1
-        wanted = min(lossless, _MOST_GROWTH * here) if lossless > here else 2 * here
+        lossless = int(np.ceil(CAP_MARGIN * self.charge.lossless(price) / self.base.unit)) + 1
+        wanted = min(lossless, MOST_GROWTH * here) if lossless > here else 2 * here
         fits = (wanted + 1) * pairs <= self._most_pairs
         if self.is_trial and (lossless <= here or not fits):
             wanted = here
@@ -1220,7 +900,7 @@ class CompiledExplicit(CompiledProblem):
             return exact
         elif not (cut and fits):
             return None
-        return self._copy_with_results(replace(self, cap=wanted, is_trial=False), *_OWN)
+        return replace(self, cap=wanted, is_trial=False, priced=None)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledExplicit:
         """Return the problem with as many layers as a value function, or raise ModelError."""
@@ -1230,17 +910,23 @@ class CompiledExplicit(CompiledProblem):
         layers, odd = divmod(values.size - 1, nodes) if nodes else (2, values.size - 1)
         if values.ndim != 1 or odd or layers < 2:
             raise ModelError("values of a wrong shape: pass an array of [(layers + 1) x nodes + 1]")
-        return self._copy_with_results(replace(self, cap=layers - 1), *_OWN)
+        return replace(self, cap=layers - 1, priced=None)
+
+    def at_resolution(self, resolution: Resolution) -> CompiledExplicit:
+        """Return the problem with other totals, which are not multiples of a unit."""
+        layer = self.layer
+        if layer is not None and not layer.by_sums:
+            layer = replace(layer, by_sums=True)
+        return replace(self, resolution=resolution, layer=layer, priced=None)
 
     def bounded(self, budget: float | None, side: tuple[UpperRow, ...]) -> CompiledExplicit:
-        """Return the problem with other bounds; results for the process are shared."""
-        return self._copy_with_results(
-            replace(self, budget=budget, side=side), "least", "least_goal"
-        )
+        """Return the problem with other bounds; the process is shared if its tails are final."""
+        priced = self.pricing() if self.with_tails(exact=False) is self else None
+        return replace(self, budget=budget, side=side, priced=priced)
 
     def charging(self, charge: Charge) -> CompiledExplicit:
         """Return the problem with another charge, whose arrivals lie on the lattice of costs."""
-        return self._copy_with_results(replace(self, charge=charge, cap=None), *_OWN)
+        return replace(self, charge=charge, cap=None, priced=None)
 
     @property
     def n_columns(self) -> int:

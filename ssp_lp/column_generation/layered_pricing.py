@@ -1,12 +1,9 @@
-"""Pricing problems of layered processes, solved by backward sweeps over accumulated cost.
+"""The pricing problem of layers of accumulated cost with any rows, solved by backward sweeps.
 
-- :class:`LayeredPricing` limits failure alone; beyond the cap lie tails in closed form.
-- :class:`OpenEndedPricing` has any rows. Every step costs something, so that each layer depends on
-  later ones only. Beyond the cap lies one last layer with cycles, solved by policy iteration; one
-  sweep from there prices all layers and evaluates the choice in each row.
-
-A choice is the position of a pair among the pairs of its node, [layers, nodes], in the smallest
-integer type that holds it.
+Every step costs something, so that each layer depends on later ones only. Beyond the cap lies one
+last layer with cycles, solved by policy iteration; one sweep from there prices all layers and
+evaluates the choice in each row. A choice is the position of a pair among the pairs of its node,
+[layers, nodes], in the smallest integer type that holds it.
 """
 
 from __future__ import annotations
@@ -14,25 +11,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TailValues
-from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.accumulated_cost.sweep import (
     KEPT_VALUES,
-    PartOfSweep,
     Priced,
     Sweep,
-    at_price,
     at_weights,
 )
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import FloatArray, IntArray, weighted
 from ssp_lp.column_generation.column import (
     Column,
-    FailureRow,
     PricingProblem,
     Proof,
     pricing_weights,
@@ -41,263 +34,7 @@ from ssp_lp.column_generation.column import (
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.evaluation import evaluate_policy
-from ssp_lp.policies.policy import DeterministicPolicy, Policy
-
-_SAME = 1e-14
-"""Relative difference of values that is rounding."""
-
-
-@dataclass(frozen=True, eq=False)
-class LayeredPricing(PricingProblem):
-    """Pricing problem of a layered process with a failure row alone; a choice has [cap, nodes]."""
-
-    process: LayeredProcess
-    by_goal: bool = False  # the second reward is minus the goal probability instead of failure
-
-    n_rewards: ClassVar[int] = 2
-
-    def counting_success(self) -> LayeredPricing:
-        """Return this pricing problem with minus the goal as second reward."""
-        return replace(self, by_goal=True)
-
-    @property
-    def value_shape(self) -> tuple[int, ...]:
-        """[cap, nodes] of the layered process."""
-        return self.process.cap, self.process.base.n_nodes
-
-    @cached_property
-    def sweep(self) -> Sweep:
-        """The backward sweeps over the process."""
-        return Sweep.of_ends(self.process)
-
-    def incumbent(self, reached: Any) -> Column | None:
-        """Return the column of a stopped sweep, which is optimal at a lower price of failure.
-
-        A policy that begins in the last swept layer with nothing paid is optimal at the price minus
-        the layer's total. None if the charge is not the cost itself.
-        """
-        if not isinstance(reached, PartOfSweep) or reached.layer == self.process.cap:
-            return None
-        if not self.is_shifted:
-            return None
-        measures = reached.measures
-        if measures is not None:
-            measures = self.process.base.start @ measures
-            measures[0] -= float(self._paid[reached.layer]) * measures[2]
-        swept = Column(0.0, 0.0, 0.0, reached.choice, reached.price)
-        return self._begun_in(reached.layer, swept, measures)
-
-    @property
-    def covered(self) -> float:
-        """Price of failure up to which one sweep covers all prices: the last total; 0: none."""
-        return float(self._paid[-1]) if self.is_shifted else 0.0
-
-    @cached_property
-    def is_shifted(self) -> bool:
-        """Whether beginning in a later layer is equivalent to a lower price of failure."""
-        return self.process.grows_evenly and not self.process.base.by_steps
-
-    @property
-    def _paid(self) -> FloatArray:
-        """Reduction of the price of failure in each layer, [cap]."""
-        process = self.process
-        return process.totals.values[: process.cap] / process.base.survival
-
-    def _begun_in(self, layer: int, swept: Column, measures: FloatArray | None = None) -> Column:
-        """Return the column of an episode that begins in a layer with nothing paid.
-
-        Args:
-            layer: the layer.
-            swept: the column of beginning in the first layer, with its choice from ``layer`` on.
-            measures: cost, failure and goal of the column; None: not known yet.
-        """
-        if layer == 0 and swept.by_layer is not None:
-            return swept
-        choice = required(swept.choice)
-        if measures is None and swept.by_layer is not None:
-            known = swept.by_layer[layer, 1:]
-            measures = None if np.isnan(known).any() else known
-        price = swept.tail_price - float(self._paid[layer])
-        begun = self._process_begun_in(layer)
-        within, choice = replace(self, process=begun), choice[layer:]
-        if measures is None:
-            measures = within.sweep.measure(choice, begun.measures_beyond(price))
-        column, policy = within._column(measures, choice, price, 0), begun.policy(choice, price)
-        return replace(column, choice=None, policy=policy, swept=swept)
-
-    def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
-        """Return columns at lower prices, next to the budget, found by the column's sweep.
-
-        One sweep solves the pricing problem at its price minus the total of each layer. The best
-        dual bound among these prices lies next to the optimal price.
-        """
-        rest = column.by_layer
-        if rest is None or column.choice is None or not (row.ratio and row.demanded > 0.0):
-            return ()
-        prices = column.tail_price - self._paid
-        rest = rest[:, 0]
-        best = int(np.argmax(prices + np.where(rest >= 0.0, rest, rest / row.demanded)))
-        nearest = self._begun_in(best, column)
-        other = best - 1 if row.breaks(nearest) else best + 1
-        if not 0 <= other < len(prices) or prices[other] <= 0.0:
-            return ()
-        return replace(nearest, found_at=float(prices[best])), self._begun_in(other, column)
-
-    def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
-        """Return a policy of about this failure, found by a column's sweep at a lower price.
-
-        The failure at each price is the slope of the least value as a function of the price.
-
-        Args:
-            column: found by pricing, or by its sweep.
-            failure: the policy next to this failure probability is taken.
-            above: whether the policy must fail more often rather than less often.
-        """
-        swept = column.swept or column
-        if swept.by_layer is None or swept.choice is None:
-            return None
-        goal = np.diff(swept.by_layer[:, 0]) / np.diff(self._paid)  # between a layer and the next
-        fails = np.maximum.accumulate(1.0 - goal)
-        layer = int(np.searchsorted(fails, failure)) + int(above)
-        if layer >= len(fails):
-            return None
-        price = swept.tail_price - float(self._paid[layer])
-        return self._process_begun_in(layer).policy(swept.choice[layer:], price)
-
-    def _process_begun_in(self, layer: int) -> LayeredProcess:
-        """Return the process of an episode that begins in a layer with nothing paid."""
-        totals = self.process.base.totals(self.process.cap - layer)
-        return replace(self.process, totals=totals)
-
-    def first(self) -> Column:
-        """Return the column of the tail to the goal, followed from the start."""
-        base, tails = self.process.base, self.process.tails
-        if tails.guess is not None:
-            guess = tails.guess[0], 1.0, tails.guess[1] + base.start_goal
-            return Column(*guess, None, by_goal=self.by_goal)
-        nothing_paid = self.process.charge.beyond(np.zeros(base.n_nodes), tails.first)
-        cost = float(base.start @ nothing_paid) + self.process.start_charge
-        goal = float(base.start @ tails.goal[0])
-        failure = float(base.start @ tails.first.failure) + base.start_failure
-        policy = DeterministicPolicy(base.quotient.model, tails.decisions[0])
-        found = cost, failure, goal + base.start_goal, None
-        return Column(*found, policy=policy, by_goal=self.by_goal)
-
-    def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """Return a column of least ``E[charge; goal] + price * failure``."""
-        failure_price = float(pricing_weights(price)[1])
-        base, tails, choice = self.process.base, self.process.tails, self.sweep.room_for_choice()
-        goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
-        # if success is improbable, use the form cost - price * goal
-        failing = failure_price if goal + base.start_goal >= 0.5 else 0.0
-        begun = np.full((self.process.cap, 4), np.nan) if self.is_shifted else None
-        measures = self.sweep.minimise(at_price(self.sweep, failure_price, failing), choice, begun)
-        column = self._column(measures, choice, failure_price, self.process.cap)
-        if begun is None:
-            return column
-        prices = failure_price - self._paid
-        ended = base.start_goal
-        if failing:
-            begun[:, 0] -= self._paid * base.start.sum()
-            ended = 1.0 - base.start_failure
-        begun[:, 0] -= prices * ended
-        begun[:, 1] -= self._paid * begun[:, 3]
-        return replace(column, by_layer=begun)
-
-    def measure(self, choice: IntArray, tail_price: float) -> Column:
-        """Return the column of a choice, with its exact E[cost; goal] and failure.
-
-        Args:
-            choice: [cap, nodes].
-            tail_price: price of failure at which the tails beyond the cap are chosen.
-        """
-        measures = self.sweep.measure(choice, self.process.measures_beyond(tail_price))
-        return self._column(measures, choice, tail_price, 0)
-
-    def _column(
-        self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
-    ) -> Column:
-        """Return the column of a choice from its totals: charge, failure and goal."""
-        base, work = self.process.base, bellman.Work(backups, self.process.cap)
-        cost, failure, goal = totals.tolist()
-        failure = max(failure + base.start_failure, 0.0)  # a negative value is rounding
-        goal = max(goal + base.start_goal, 0.0)
-        cost += self.process.start_charge
-        return Column(cost, failure, goal, choice, tail_price, work=work, by_goal=self.by_goal)
-
-    def aligned(self, column: Column, price: float) -> Column:
-        """Return the column with its tails chosen at this price, and evaluated."""
-        if column.choice is None:
-            return column
-        here, there = self.process.threshold(column.tail_price), self.process.threshold(price)
-        return column if np.array_equal(here, there) else self.measure(column.choice, price)
-
-    def prove(
-        self, price: float | FloatArray, best: Column | None = None, *, slack: bool = False
-    ) -> Proof:
-        """Prove the best dual bound of one sweep."""
-        price = float(pricing_weights(price)[1])
-        return self._proof(price, 0.0 if slack else price, self.anything)
-
-    def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower values, [cap, nodes], to a checked sub-solution of the pricing problem.
-
-        The sweep starts from the lower bound beyond the cap and subtracts the rounding error of
-        every backup. Infinite values give the best bound; the proof then carries its choice, if
-        this can be followed.
-
-        Raises:
-            ModelError: values have the wrong shape.
-        """
-        choice = None
-        self.check_shape(values)
-        if self.sweep.can_follow and self.sweep.one_pass is None:
-            wants_best = all(bool(np.isposinf(layer).all()) for layer in values)
-            choice = self.sweep.room_for_choice() if wants_best else None
-        return self._proof(price, 0.0 if slack else price, values, choice)
-
-    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Return an upper bound of the loss of the dual bound by the cap; 0 if tails are optimal.
-
-        The loss is the difference at the start between the bound with the values of the tail
-        policies beyond the cap and the bound with the lower bound there. It is at most the loss of
-        the choice of the second bound: mass beyond the cap times the difference there.
-
-        Args:
-            price: of failure.
-            slack: as in :meth:`check`.
-            proof: a proof at this price; if its bound is as high, the loss is 0.
-        """
-        process, failing = self.process, 0.0 if slack else price
-        tails = process.beyond_value(price, failing)
-        least = process.beyond_bound(price, failing)
-        same = tails - least <= _SAME * (np.abs(tails) + np.abs(least))
-        lost = np.where(same, 0.0, tails - least)
-        if not lost.any():
-            return 0.0
-        if proof is not None and proof.choice is not None:
-            left = self.sweep.mass_beyond(proof.choice)
-            most = float((left[: len(lost)] * lost).sum())
-            if most <= _SAME * abs(proof.bound):
-                return most
-        followed = at_price(self.sweep, price, failing)
-        reached = float(self.sweep.bound(followed, self.anything)[0][0])
-        if proof is not None and reached <= proof.bound:
-            return 0.0
-        return max(reached - self.prove(price, slack=slack).bound, 0.0)
-
-    def _proof(
-        self, price: float, failing: float, values: FloatArray, choice: IntArray | None = None
-    ) -> Proof:
-        """Lower values layer by layer, starting from the bound beyond the cap."""
-        priced = at_price(self.sweep, price, failing, bounds=True)
-        bounds, kept = self.sweep.bound(priced, values, choice)
-        work = bellman.Work(self.process.cap, 0)
-        return Proof(price, failing, float(bounds[0]), kept, work, choice, by_layer=bounds)
-
-    def pulled_back(self, column: Column) -> Policy:
-        """Return the cost-aware policy of a column's choice and its tails."""
-        return self.process.policy(required(column.choice), column.tail_price)
+from ssp_lp.policies.policy import Policy
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,7 +57,7 @@ class OpenEndedPricing(PricingProblem):
     @property
     def value_shape(self) -> tuple[int, ...]:
         """[(cap + 1) * nodes + 1], as of the process written out."""
-        return ((self.augmented.cap + 1) * self.augmented.n_nodes + 1,)
+        return ((self.augmented.cap + 1) * self.augmented.base.n_nodes + 1,)
 
     @cached_property
     def _beyond(self) -> ExplicitPricing:
@@ -473,7 +210,7 @@ class OpenEndedPricing(PricingProblem):
     ) -> FloatArray:
         """Return the values beyond the cap; if infinite, those of an optimal policy."""
         self.check_shape(values)
-        beyond = values[self.augmented.cap * self.augmented.n_nodes : -1]
+        beyond = values[self.augmented.cap * self.augmented.base.n_nodes : -1]
         if np.isfinite(beyond).all():
             return beyond
         return weighted(required(self._best_beyond(weights, best).totals), weights)
@@ -490,7 +227,7 @@ class OpenEndedPricing(PricingProblem):
             last: lower bounds beyond the cap, [nodes].
         """
         layered = self.augmented
-        given = values[:-1].reshape(layered.cap + 1, layered.n_nodes)
+        given = values[:-1].reshape(layered.cap + 1, layered.base.n_nodes)
         bounds, kept = sweep.bound(priced, given[:-1])
         bound = float(bounds[0])
         if values.size > KEPT_VALUES:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
     weighted,
 )
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, pricing_weights
-from ssp_lp.column_generation.compiled_problem import CompiledExplicit, LeastFailure
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit, GoalFacts, LeastFailure
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.distributed.part import Part
 from ssp_lp.distributed.ranks import Halo, Ranks
@@ -560,7 +560,7 @@ class CompiledPartitioned(CompiledExplicit):
 
     def pricing(self) -> PartitionedProcess:  # type: ignore[override]
         """Return the pricing problem, with a price for each row."""
-        return self._priced
+        return self._priced if self.priced is None else cast("PartitionedProcess", self.priced)
 
     @cached_property
     def _priced(self) -> PartitionedProcess:
@@ -591,7 +591,8 @@ class CompiledPartitioned(CompiledExplicit):
 
     def failure_at_least(self, discount: float | None) -> float:
         """Return the least failure probability of all policies, to report it in an error."""
-        other = CompiledPartitioned(self.model, self.start, self.semantics, discount)
+        facts = GoalFacts(self.model, self.start, discount)
+        other = CompiledPartitioned(facts, self.semantics)
         return other.least_failure().column.failure
 
     def settled(self, *known: Column) -> CompiledPartitioned:

@@ -350,8 +350,7 @@ def _capped_by_case_m(
     incumbent, semantics = prepared(), FailureSemantics(charge_failing_step=False)
     optimum = None if incumbent is None else incumbent.optimum
     if optimum is None:
-        model, start, discount = compiled.model, compiled.start, compiled.discount
-        label = CompiledExplicit(model, start, semantics, discount)
+        label = CompiledExplicit(compiled.facts, semantics)
         optimum = refined_optimum(label, budget, SolveOptions(TRIAL_TOLERANCE))
     price = max(optimum.kappa, optimum.generated.given_success)
     if not np.isfinite(price):

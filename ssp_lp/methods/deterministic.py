@@ -46,8 +46,8 @@ import scipy.sparse as sp
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.column_generation.column import Column, relative_gap
+from ssp_lp.column_generation.compiled_layers import CompiledLayered
 from ssp_lp.column_generation.compiled_problem import (
-    CompiledAccumulatedCost,
     CompiledExplicit,
     CompiledProblem,
 )
@@ -353,8 +353,8 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
             return [labelled.explicit_pricing.measure(choice.astype(np.int32))]
 
     else:
-        layered = cast("CompiledAccumulatedCost", exact)
-        base, cap, pricing = layered.base, layered.layers, layered.pricing()
+        layered = cast("CompiledLayered", exact)
+        base, cap, pricing = layered.layer.base, layered.layers, layered.pricing()
         beyond = np.arange((base.width - 1) * base.n_nodes) + cap * base.n_nodes
         free[: cap * base.n_nodes] = np.tile(_merged_nodes(base.quotient), cap)
         free[beyond] = True

@@ -23,6 +23,7 @@ from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problem import (
     ATTAINABLE,
     CompiledExplicit,
+    GoalFacts,
     checked_least_failure,
 )
 from ssp_lp.compiled.deadline import WithIncumbent
@@ -120,7 +121,8 @@ class Incumbent:
         semantics = replace(problem.semantics, measure=None)
         budget = None if at_least_failure else budget
         side = tuple(row for condition in problem.conditions for row in condition.rows)
-        compiled = CompiledExplicit(model, start, semantics, problem.discount, side, budget)
+        facts = GoalFacts(model, start, problem.discount)
+        compiled = CompiledExplicit(facts, semantics, side, budget)
         if side:
             return rows_optimum(compiled, _ROUGH).policy
         if budget is None:

@@ -78,11 +78,12 @@ def program_of(
     if augmented is None:
         inside = compiled.augmented
         if isinstance(inside, OpenEnded):
-            augmented = LayeredModel.of(inside, compiled.start, compiled.semantics)
+            augmented = LayeredModel.of(inside, compiled.facts.start, compiled.semantics)
         else:  # the objective as the cost
             cost = np.ascontiguousarray(compiled.explicit_pricing.rewards[:, 0])
             labelled = replace(inside, process=replace(inside.process, cost=cost))
-            setting = compiled.start, compiled.semantics, compiled.discount
+            facts = compiled.facts
+            setting = facts.start, compiled.semantics, facts.discount
             augmented = LabelledModel.of(labelled, *setting)
         limits = compiled.bounds
         if compiled.budget is not None and inner.semantics.aim is Aim.LEAST_COST:
@@ -116,14 +117,15 @@ def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
 
     All its policies have the greatest goal probability, so no accumulated cost is needed.
     """
-    model, start, usable = compiled.model, compiled.start, compiled.greatest.usable
-    labelled = label_failure(model, start, compiled.semantics, compiled.discount, usable)
+    facts, semantics = compiled.facts, compiled.semantics
+    model, start, greatest = facts.model, facts.start, facts.greatest_from_start
+    labelled = label_failure(model, start, semantics, facts.discount, greatest.usable)
     process = labelled.process
-    chance = np.where(model.goal_mask, 1.0, compiled.greatest.goal)
+    chance = np.where(model.goal_mask, 1.0, greatest.goal)
     cost = labelled.quotient.at_pairs(cost_means(model, chance)) / labelled.departs
     cost = np.append(cost, np.zeros(process.n_pairs - cost.size))
     labelled = replace(labelled, process=replace(process, cost=cost))
-    return LabelledModel.of(labelled, start, compiled.semantics, compiled.discount)
+    return LabelledModel.of(labelled, start, semantics, facts.discount)
 
 
 def _objective_word(problem: Problem, compiled: CompiledExplicit) -> str:

@@ -50,8 +50,8 @@ from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_
 from ssp_lp.analysis.evaluation import Evaluation, complement, success_costs
 from ssp_lp.arrays import QUANTILE
 from ssp_lp.column_generation.column import FailureRow, Proof, required
+from ssp_lp.column_generation.compiled_layers import CompiledLayered
 from ssp_lp.column_generation.compiled_problem import (
-    CompiledArrivalCost,
     CompiledExplicit,
     checked_least_failure,
 )
@@ -267,7 +267,7 @@ class _Question(ABC):
 class _WithinBudget(_Question):
     """Policies with a limit on failure alone. With least failure, the price has no effect."""
 
-    compiled: CompiledArrivalCost
+    compiled: CompiledLayered
 
     def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
         """Minimise E[charge | goal] on layers of accumulated cost."""
@@ -291,7 +291,7 @@ class _WithinBudget(_Question):
         The optimal policy depends only on the rest of the bound: a run with the smaller of two
         bounds equals a run with the larger one that begins in the layer of their difference.
         """
-        if self.compiled.by_sums:
+        if self.compiled.layer.by_sums:
             return super().late_shares(number, guess)
         proof = self._proof(LateCharge(self.thresholds.total(number)), guess)
         by_layer = required(proof.by_layer)
@@ -303,7 +303,7 @@ class _WithinBudget(_Question):
         kappa, slack = (0.0, False) if self.budget is None else (guess.kappa, guess.slack)
         return self._charging(charge, kappa).pricing().prove(kappa, slack=slack)
 
-    def _charging(self, charge: _Charge, kappa: float) -> CompiledArrivalCost:
+    def _charging(self, charge: _Charge, kappa: float) -> CompiledLayered:
         """Return the problem with a charge and the cap that a price of failure requires."""
         compiled = self.compiled.charging(charge)
         if kappa <= 0.0 or self.budget is None:
@@ -314,7 +314,7 @@ class _WithinBudget(_Question):
         """Return the lower bound of E[charge | goal] that a proof implies."""
         if self.budget is not None:
             return FailureRow(self.budget, ratio=True).lower_bound(proof)
-        greatest = float(self.compiled.start @ self.compiled.greatest.bound)
+        greatest = float(self.compiled.start @ self.compiled.facts.greatest.bound)
         return max(proof.bound, 0.0) / min(greatest, 1.0)
 
 
@@ -368,7 +368,7 @@ def question_of(problem: Problem) -> _Question:
     if not problem.several_rows:
         return question_of_compiled(compiled_totals(problem), problem.failure_budget)
     compiled = compiled_constrained(problem).settled()
-    budget, typical = compiled.budget, compiled.typical_cost
+    budget, typical = compiled.budget, compiled.facts.typical_cost
     thresholds: _Thresholds = _Multiples(Fraction(typical / _FINE), sharp=False)
     if compiled.resolution is None:
         thresholds = _Multiples(compiled.base.exact_unit)
@@ -387,7 +387,7 @@ def question_of(problem: Problem) -> _Question:
     )
 
 
-def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) -> _WithinBudget:
+def question_of_compiled(compiled: CompiledLayered, budget: float | None) -> _WithinBudget:
     """Return the admissible policies of a compiled problem, with the budget checked.
 
     Args:
@@ -407,12 +407,12 @@ def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) ->
             away = abs(budget - allowed)
             note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
         compiled, budget = compiled.safest(), None
-    by_sums, model = compiled.by_sums, compiled.model
+    layer, model = compiled.layer, compiled.model
     return _WithinBudget(
         budget=budget,
         allowed=allowed,
         typical=column.cost / column.goal,
-        thresholds=_Sums(model) if by_sums else _Multiples(compiled.base.exact_unit),
+        thresholds=_Sums(model) if layer.by_sums else _Multiples(layer.base.exact_unit),
         note=note,
         compiled=compiled,
     )

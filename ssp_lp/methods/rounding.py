@@ -50,7 +50,7 @@ from ssp_lp.column_generation.column import (
     relative_gap,
     two_sided_gap,
 )
-from ssp_lp.column_generation.compiled_problem import CompiledAccumulatedCost
+from ssp_lp.column_generation.compiled_layers import CompiledLayered
 from ssp_lp.column_generation.search import DualGuess, Rows, lottery_within
 from ssp_lp.compiled.deadline import WithIncumbent, closing, ensure_incumbent, is_late
 from ssp_lp.errors import ModelError, SolverError
@@ -527,7 +527,8 @@ def split_optimum(
         if most is not None and tried + 1 == _TRIES:
             fixed = (most - 0.5) * float(unit)
         cap = None if np.isinf(reach) or fixed else int(np.ceil(reach / float(unit))) + 1
-        compiled = CompiledAccumulatedCost(model, start, problem.discount, fixed, cap)
+        discount, caps = problem.discount, {"fixed_cap": fixed, "cap": cap}
+        compiled = CompiledLayered.given_success(model, start, discount, **caps)
         outcome = refined_optimum(compiled, budget, options, guess)
         layers = outcome.compiled.layers
         if most is None or layers <= most or is_late():
@@ -538,7 +539,7 @@ def split_optimum(
 
 def _unit_of(outcome: Optimum[Any]) -> Fraction:
     """Return the unit of the process of an outcome."""
-    return cast("CompiledAccumulatedCost", outcome.compiled).base.exact_unit
+    return cast("CompiledLayered", outcome.compiled).layer.base.exact_unit
 
 
 def _solved_on_lattice(
@@ -731,6 +732,6 @@ def span_of_totals(problem: Problem, dearest: float | None = None) -> float:
     dearest = float(problem.model.costs.max(initial=0.0)) if dearest is None else dearest
     if isinstance(charge, WithinBound) and charge.bound > 0.0:
         return float(charge.bound)
-    typical = _TYPICAL * compiled_constrained(problem).typical_cost
+    typical = _TYPICAL * compiled_constrained(problem).facts.typical_cost
     settled = 0.0 if charge is None else charge.settled or 0.0
     return max(typical, dearest / _RARE, settled) or 1.0

@@ -135,7 +135,8 @@ def _may_be_rarer(
         replace(row, bound=row.bound - _TIGHTER * abs(row.bound)) for row in stated.side
     )
     try:
-        rarer = rows_optimum(replace(stated, by_goal=True, side=tighter), options)
+        goals = replace(stated, by_goal=True, side=tighter, priced=None)
+        rarer = rows_optimum(goals, options)
     except (InfeasibleError, SolverError):
         return False
     return not rarer.granted and rarer.value < optimum.value * (1.0 - options.tolerance)
@@ -172,10 +173,10 @@ def rows_optimum(
     if stated.charge is not None and options.program is None:
         stated = stated.with_tails(exact=False)
     if stated.resolution is not None and stated.charge is not None:
-        coarse = replace(stated, resolution=Resolution(grid=_COARSE_TOTALS, most=_COARSE_TOTALS))
+        coarse = stated.at_resolution(Resolution(grid=_COARSE_TOTALS, most=_COARSE_TOTALS))
         guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
         lossless = stated.charge.lossless(guess.kappa)  # failing is optimal from there on
-        stated = replace(stated, resolution=stated.resolution.up_to(lossless))
+        stated = stated.at_resolution(stated.resolution.up_to(lossless))
     try:
         attempts = finer_optima(
             _rows_attempt(stated, options, truth, guess),
@@ -770,7 +771,9 @@ def least_goal_within(compiled: CompiledExplicit, rows: Rows) -> float:
     if compiled.budget is None or not compiled.is_whole:
         return compiled.least_goal
     semantics = FailureSemantics(aim=Aim.LEAST_GOAL)
-    reach = replace(compiled, semantics=semantics, charge=None, ratio=False, resolution=None)
+    reach = replace(
+        compiled, semantics=semantics, charge=None, ratio=False, resolution=None, priced=None
+    )
     try:
         opened = phase_one(reach, reach, CERTIFYING)
     except InfeasibleError:
@@ -817,7 +820,7 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
     values = np.asarray(values)
     levels = levels_of(solution.policy.policies)
     if levels is not None:
-        compiled = replace(compiled, resolution=Resolution(fixed=tuple(levels.tolist())))
+        compiled = compiled.at_resolution(Resolution(fixed=tuple(levels.tolist())))
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
     budget, claims = max(stated.budget or 0.0, least), (evaluation.objective, solution.lower_bound)

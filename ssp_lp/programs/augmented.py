@@ -343,7 +343,7 @@ class LayeredModel(Augmented):
         Args:
             choice: one pair of each state of the process, [process states].
         """
-        shape = self.copies, self.inner.n_nodes
+        shape = self.copies, self.inner.base.n_nodes
         own = self.part.states < shape[0] * shape[1]
         states, pairs = self.part.states[own], self.part.pairs[choice[own]]
         decided, every = (

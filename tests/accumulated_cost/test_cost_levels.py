@@ -19,7 +19,7 @@ from ssp_lp.accumulated_cost.totals import (
     layers_of,
     sums_of,
 )
-from ssp_lp.column_generation.compiled_problem import CompiledAccumulatedCost
+from ssp_lp.column_generation.compiled_layers import CompiledLayered
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.options import CERTIFYING
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -47,7 +47,7 @@ def test_levels_grids_and_the_lattice(block):
         model = model_of(choices)
         budget = float(rng.choice([0.05, 0.1, 0.2, 0.3, 0.5, 1.0]))
         try:
-            lattice = CompiledAccumulatedCost(model, start_distribution(model, "s0"))
+            lattice = CompiledLayered.given_success(model, start_distribution(model, "s0"))
             known = refined_optimum(lattice, budget, CERTIFYING).generated.objective
         except InfeasibleError:
             with pytest.raises(InfeasibleError):

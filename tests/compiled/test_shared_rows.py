@@ -8,8 +8,8 @@ from examples.domains.navigation import navigation
 from formulations import S3P
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExcessCharge
 from ssp_lp.accumulated_cost.sweep import Sweep
-from ssp_lp.column_generation.compiled_problem import CompiledArrivalCost
-from ssp_lp.column_generation.layered_pricing import LayeredPricing
+from ssp_lp.column_generation.compiled_layers import CompiledLayered, LayeredPricing
+from ssp_lp.column_generation.compiled_problem import GoalFacts, LayerAndTails
 from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
@@ -154,7 +154,9 @@ def test_sums_of_steps_are_followed_likewise(monkeypatch, accelerate, charge):
     monkeypatch.setattr(Sweep, "one_pass", None)
     begins = np.zeros(model.n_states)
     begins[start] = 1.0
-    compiled = CompiledArrivalCost(model, begins, charge, ratio=True, cap=14.0, by_sums=True)
+    facts = GoalFacts(model, begins)
+    layer = LayerAndTails(facts, counts_law=True, by_sums=True)
+    compiled = CompiledLayered(facts, layer, charge, cap=14.0)
     forwards, backwards = both(accelerate, lambda: measured(compiled))
     assert forwards == pytest.approx(backwards, rel=1e-13)
 

@@ -411,7 +411,7 @@ def test_tails_know_the_greatest_and_the_least_success(drawn, gamma):
         least, greatest = goal_probability_range(plain(drawn), state, gamma)
         assert tails.greatest_goal[node] == pytest.approx(greatest, rel=1e-11, abs=1e-13)
         assert tails.least_goal[node] == pytest.approx(least, rel=1e-11, abs=1e-13)
-        assert tails.goal[:, node].tolist() == pytest.approx([greatest, least], abs=1e-11)
+        assert tails.values.goal[:, node].tolist() == pytest.approx([greatest, least], abs=1e-11)
 
 
 RUNGS = np.arange(9)

@@ -25,7 +25,7 @@ from ssp_lp import (
 from ssp_lp.accumulated_cost.sweep import Sweep
 from ssp_lp.analysis import evaluation
 from ssp_lp.arrays import read_only
-from ssp_lp.column_generation.layered_pricing import LayeredPricing
+from ssp_lp.column_generation.compiled_layers import LayeredPricing
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.methods import rounding
 from ssp_lp.methods.rounding import is_split, split_optimum, with_split_costs

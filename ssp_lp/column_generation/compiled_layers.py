@@ -1,0 +1,645 @@
+"""Layered problems that limit failure alone: the compiled problem, and its pricing problem.
+
+Beyond the cap lie tails in closed form. A choice is the position of a pair among the pairs of its
+node, [layers, nodes], in the smallest integer type that holds it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ssp_lp.accumulated_cost import written_out
+from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge
+from ssp_lp.accumulated_cost.process import (
+    LayeredProcess,
+)
+from ssp_lp.accumulated_cost.sweep import (
+    PartOfSweep,
+    Sweep,
+    at_price,
+)
+from ssp_lp.accumulated_cost.totals import (
+    layers_within,
+    step_costs,
+)
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.column_generation.column import (
+    Column,
+    FailureRow,
+    PricingProblem,
+    Proof,
+    pricing_weights,
+    required,
+)
+from ssp_lp.column_generation.compiled_problem import (
+    CAP_MARGIN,
+    MOST_ENTRIES,
+    MOST_GROWTH,
+    MOST_STEPS,
+    CompiledProblem,
+    GoalFacts,
+    LayerAndTails,
+    LeastFailure,
+    Tails,
+)
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming import bellman
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.graph import dead_ends, goal_approach
+from ssp_lp.policies.policy import DeterministicPolicy, Policy
+from ssp_lp.processes.explicit_process import ExplicitProcess
+from ssp_lp.processes.live_rows import uniform_cost
+
+_SAME = 1e-14
+"""Relative difference of values that is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredPricing(PricingProblem):
+    """Pricing problem of a layered process with a failure row alone; a choice has [cap, nodes]."""
+
+    process: LayeredProcess
+    by_goal: bool = False  # the second reward is minus the goal probability instead of failure
+
+    n_rewards: ClassVar[int] = 2
+
+    def counting_success(self) -> LayeredPricing:
+        """Return this pricing problem with minus the goal as second reward."""
+        return replace(self, by_goal=True)
+
+    @property
+    def value_shape(self) -> tuple[int, ...]:
+        """[cap, nodes] of the layered process."""
+        return self.process.cap, self.process.base.n_nodes
+
+    @cached_property
+    def sweep(self) -> Sweep:
+        """The backward sweeps over the process."""
+        return Sweep.of_ends(self.process)
+
+    def incumbent(self, reached: Any) -> Column | None:
+        """Return the column of a stopped sweep, which is optimal at a lower price of failure.
+
+        A policy that begins in the last swept layer with nothing paid is optimal at the price minus
+        the layer's total. None if the charge is not the cost itself.
+        """
+        if not isinstance(reached, PartOfSweep) or reached.layer == self.process.cap:
+            return None
+        if not self.is_shifted:
+            return None
+        measures = reached.measures
+        if measures is not None:
+            measures = self.process.base.start @ measures
+            measures[0] -= float(self._paid[reached.layer]) * measures[2]
+        swept = Column(0.0, 0.0, 0.0, reached.choice, reached.price)
+        return self._begun_in(reached.layer, swept, measures)
+
+    @property
+    def covered(self) -> float:
+        """Price of failure up to which one sweep covers all prices: the last total; 0: none."""
+        return float(self._paid[-1]) if self.is_shifted else 0.0
+
+    @cached_property
+    def is_shifted(self) -> bool:
+        """Whether beginning in a later layer is equivalent to a lower price of failure."""
+        return self.process.grows_evenly and not self.process.base.by_steps
+
+    @cached_property
+    def _paid(self) -> FloatArray:
+        """Reduction of the price of failure in each layer, [cap]."""
+        process = self.process
+        return process.totals.values[: process.cap] / process.base.survival
+
+    def _begun_in(self, layer: int, swept: Column, measures: FloatArray | None = None) -> Column:
+        """Return the column of an episode that begins in a layer with nothing paid.
+
+        Args:
+            layer: the layer.
+            swept: the column of beginning in the first layer, with its choice from ``layer`` on.
+            measures: cost, failure and goal of the column; None: not known yet.
+        """
+        if layer == 0 and swept.by_layer is not None:
+            return swept
+        choice = required(swept.choice)
+        if measures is None and swept.by_layer is not None:
+            known = swept.by_layer[layer, 1:]
+            measures = None if np.isnan(known).any() else known
+        price = swept.tail_price - float(self._paid[layer])
+        begun = self._process_begun_in(layer)
+        within, choice = replace(self, process=begun), choice[layer:]
+        if measures is None:
+            measures = within.sweep.measure(choice, begun.measures_beyond(price))
+        column, policy = within._column(measures, choice, price, 0), begun.policy(choice, price)
+        return replace(column, choice=None, policy=policy, swept=swept)
+
+    def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
+        """Return columns at lower prices, next to the budget, found by the column's sweep.
+
+        One sweep solves the pricing problem at its price minus the total of each layer. The best
+        dual bound among these prices lies next to the optimal price.
+        """
+        rest = column.by_layer
+        if rest is None or column.choice is None or not (row.ratio and row.demanded > 0.0):
+            return ()
+        prices = column.tail_price - self._paid
+        rest = rest[:, 0]
+        best = int(np.argmax(prices + np.where(rest >= 0.0, rest, rest / row.demanded)))
+        nearest = self._begun_in(best, column)
+        other = best - 1 if row.breaks(nearest) else best + 1
+        if not 0 <= other < len(prices) or prices[other] <= 0.0:
+            return ()
+        return replace(nearest, found_at=float(prices[best])), self._begun_in(other, column)
+
+    def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
+        """Return a policy of about this failure, found by a column's sweep at a lower price.
+
+        The failure at each price is the slope of the least value as a function of the price.
+
+        Args:
+            column: found by pricing, or by its sweep.
+            failure: the policy next to this failure probability is taken.
+            above: whether the policy must fail more often rather than less often.
+        """
+        swept = column.swept or column
+        if swept.by_layer is None or swept.choice is None:
+            return None
+        goal = np.diff(swept.by_layer[:, 0]) / np.diff(self._paid)  # between a layer and the next
+        fails = np.maximum.accumulate(1.0 - goal)
+        layer = int(np.searchsorted(fails, failure)) + int(above)
+        if layer >= len(fails):
+            return None
+        price = swept.tail_price - float(self._paid[layer])
+        return self._process_begun_in(layer).policy(swept.choice[layer:], price)
+
+    def _process_begun_in(self, layer: int) -> LayeredProcess:
+        """Return the process of an episode that begins in a layer with nothing paid."""
+        totals = self.process.base.totals(self.process.cap - layer)
+        return replace(self.process, totals=totals)
+
+    def first(self) -> Column:
+        """Return the column of the tail to the goal, followed from the start."""
+        base, tails = self.process.base, self.process.tails
+        if tails.guess is not None:
+            guess = tails.guess[0], 1.0, tails.guess[1] + base.start_goal
+            return Column(*guess, None, by_goal=self.by_goal)
+        nothing_paid = self.process.charge.beyond(np.zeros(base.n_nodes), tails.first)
+        cost = float(base.start @ nothing_paid) + self.process.start_charge
+        goal = float(base.start @ tails.first.goal)
+        failure = float(base.start @ tails.first.failure) + base.start_failure
+        policy = DeterministicPolicy(base.quotient.model, tails.decisions[0])
+        found = cost, failure, goal + base.start_goal, None
+        return Column(*found, policy=policy, by_goal=self.by_goal)
+
+    def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
+        """Return a column of least ``E[charge; goal] + price * failure``."""
+        failure_price = float(pricing_weights(price)[1])
+        base, tails, choice = self.process.base, self.process.tails, self.sweep.room_for_choice()
+        goal = tails.guess[1] if tails.guess else float(base.start @ tails.first.goal)
+        # if success is improbable, use the form cost - price * goal
+        failing = failure_price if goal + base.start_goal >= 0.5 else 0.0
+        begun = np.full((self.process.cap, 4), np.nan) if self.is_shifted else None
+        measures = self.sweep.minimise(at_price(self.sweep, failure_price, failing), choice, begun)
+        column = self._column(measures, choice, failure_price, self.process.cap)
+        if begun is None:
+            return column
+        prices = failure_price - self._paid
+        ended = base.start_goal
+        if failing:
+            begun[:, 0] -= self._paid * base.start.sum()
+            ended = 1.0 - base.start_failure
+        begun[:, 0] -= prices * ended
+        begun[:, 1] -= self._paid * begun[:, 3]
+        return replace(column, by_layer=begun)
+
+    def measure(self, choice: IntArray, tail_price: float) -> Column:
+        """Return the column of a choice, with its exact E[cost; goal] and failure.
+
+        Args:
+            choice: [cap, nodes].
+            tail_price: price of failure at which the tails beyond the cap are chosen.
+        """
+        measures = self.sweep.measure(choice, self.process.measures_beyond(tail_price))
+        return self._column(measures, choice, tail_price, 0)
+
+    def _column(
+        self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
+    ) -> Column:
+        """Return the column of a choice from its totals: charge, failure and goal."""
+        base, work = self.process.base, bellman.Work(backups, self.process.cap)
+        cost, failure, goal = totals.tolist()
+        failure = max(failure + base.start_failure, 0.0)  # a negative value is rounding
+        goal = max(goal + base.start_goal, 0.0)
+        cost += self.process.start_charge
+        return Column(cost, failure, goal, choice, tail_price, work=work, by_goal=self.by_goal)
+
+    def aligned(self, column: Column, price: float) -> Column:
+        """Return the column with its tails chosen at this price, and evaluated."""
+        if column.choice is None:
+            return column
+        here, there = self.process.threshold(column.tail_price), self.process.threshold(price)
+        return column if np.array_equal(here, there) else self.measure(column.choice, price)
+
+    def prove(
+        self, price: float | FloatArray, best: Column | None = None, *, slack: bool = False
+    ) -> Proof:
+        """Prove the best dual bound of one sweep."""
+        price = float(pricing_weights(price)[1])
+        return self._proof(price, 0.0 if slack else price, self.anything)
+
+    def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
+        """Lower values, [cap, nodes], to a checked sub-solution of the pricing problem.
+
+        The sweep starts from the lower bound beyond the cap and subtracts the rounding error of
+        every backup. Infinite values give the best bound; the proof then carries its choice, if
+        this can be followed.
+
+        Raises:
+            ModelError: values have the wrong shape.
+        """
+        choice = None
+        self.check_shape(values)
+        if self.sweep.can_follow and self.sweep.one_pass is None:
+            wants_best = all(bool(np.isposinf(layer).all()) for layer in values)
+            choice = self.sweep.room_for_choice() if wants_best else None
+        return self._proof(price, 0.0 if slack else price, values, choice)
+
+    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
+        """Return an upper bound of the loss of the dual bound by the cap; 0 if tails are optimal.
+
+        The loss is the difference at the start between the bound with the values of the tail
+        policies beyond the cap and the bound with the lower bound there. It is at most the loss of
+        the choice of the second bound: mass beyond the cap times the difference there.
+
+        Args:
+            price: of failure.
+            slack: as in :meth:`check`.
+            proof: a proof at this price; if its bound is as high, the loss is 0.
+        """
+        process, failing = self.process, 0.0 if slack else price
+        tails = process.beyond_value(price, failing)
+        least = process.beyond_bound(price, failing)
+        same = tails - least <= _SAME * (np.abs(tails) + np.abs(least))
+        lost = np.where(same, 0.0, tails - least)
+        if not lost.any():
+            return 0.0
+        if proof is not None and proof.choice is not None:
+            left = self.sweep.mass_beyond(proof.choice)
+            most = float((left[: len(lost)] * lost).sum())
+            if most <= _SAME * abs(proof.bound):
+                return most
+        followed = at_price(self.sweep, price, failing)
+        reached = float(self.sweep.bound(followed, self.anything)[0][0])
+        if proof is not None and reached <= proof.bound:
+            return 0.0
+        return max(reached - self.prove(price, slack=slack).bound, 0.0)
+
+    def _proof(
+        self, price: float, failing: float, values: FloatArray, choice: IntArray | None = None
+    ) -> Proof:
+        """Lower values layer by layer, starting from the bound beyond the cap."""
+        priced = at_price(self.sweep, price, failing, bounds=True)
+        bounds, kept = self.sweep.bound(priced, values, choice)
+        work = bellman.Work(self.process.cap, 0)
+        return Proof(price, failing, float(bounds[0]), kept, work, choice, by_layer=bounds)
+
+    def pulled_back(self, column: Column) -> Policy:
+        """Return the cost-aware policy of a column's choice and its tails."""
+        return self.process.policy(required(column.choice), column.tail_price)
+
+
+_NEARLY = 1.25  # the same of a trial by sums, whose number grows faster than the cap
+
+_MOST_LAYERS = 100_000
+"""Most layers of a charge that never settles; the gap that remains is reported."""
+
+_DOUBLINGS = 60  # most doublings of a cap
+_LOWER = 0.5  # factor of a cap below which too many sums lie
+_LOST = 1e-6  # goal probability that a policy of least failure may lose to rounding of long runs
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledLayered(CompiledProblem):
+    """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), failure limited.
+
+    With the total cost as charge and a ratio this is case S (paper, section 3.1.1). The layers of
+    accumulated cost end where the charge becomes affine, as the optimal tail is then known in
+    closed form. If the affine charge grows, they end at the price from which failing is optimal in
+    every state where it is possible for sure. A charge that never becomes affine is truncated and
+    refined.
+
+    A cap at that price loses (almost) nothing with simple tails: any policy to the goal and the
+    trivial bound of its goal probability. The exact policies of greatest goal probability are
+    computed only if the price is too large for such a cap.
+    """
+
+    facts: GoalFacts
+    layer: LayerAndTails  # with the same facts
+    charge: Charge = TOTAL_COST
+    ratio: bool = True
+    cap: float | None = None  # total at which the layers end, in units; None: a first guess
+    fixed_cap: float | None = None  # the user's cap on accumulated cost
+    tails: Tails = Tails.LEAST_FAILURE
+
+    @classmethod
+    def given_success(
+        cls, model: SSP, start: FloatArray, discount: float | None = None, **caps: Any
+    ) -> CompiledLayered:
+        """Compile case S: minimise E[total cost | goal].
+
+        Args:
+            model: the model.
+            start: [states].
+            discount: None: exact.
+            caps: ``cap`` or ``fixed_cap``.
+        """
+        facts = GoalFacts(model, start, discount)
+        return cls(facts, LayerAndTails(facts), tails=Tails.ANY_WAY, **caps)
+
+    @cached_property
+    def lowest(self) -> float:
+        """Lower bound of the objective: in case S, least number of steps times least cost."""
+        if not (self.charge.is_the_total and self.ratio) or self.layer.by_sums:
+            return self.charge.lowest
+        model, start, base = self.facts.model, self.facts.start, self.layer.base
+        begins = np.flatnonzero(start)
+        begins = begins[~dead_ends(model)[begins]]
+        if self.facts.discount is not None or not begins.size:
+            return 0.0
+        steps, same = int(goal_approach(model)[1][begins].min()), uniform_cost(model)
+        if steps == 0:
+            return 0.0
+        last = float(model.costs.min()) if same is None else same
+        going_on = base.step_classes.least * base.unit if same is None else same
+        return ((steps - 1) * going_on + last) * (1.0 - 2.0 * MACHINE_EPSILON)
+
+    @cached_property
+    def cost_horizon(self) -> float:
+        """Accumulated cost from which a stationary policy is optimal; 0: unknown."""
+        return self.layer.cost_horizon
+
+    @property
+    def _grows(self) -> bool:
+        """Whether failing becomes optimal at some total, as the charge grows without end."""
+        return self.charge.slope > 0.0 and not self.layer.safest_only
+
+    @cached_property
+    def is_trial(self) -> bool:
+        """Whether the cap is a guess to find the price."""
+        if self.cap is not None or self.fixed_cap is not None or not self._grows:
+            return False
+        return self.layer.by_sums or not self._has_exact_tails
+
+    @cached_property
+    def is_long_shot(self) -> bool:
+        """Whether the policy to the goal takes too many steps to give a cap."""
+        layer, facts = self.layer, self.facts
+        is_guess = self.cap is None and self.fixed_cap is None and self.tails is Tails.ANY_WAY
+        if not is_guess or layer.base.quotient.merged.any():
+            return False
+        if layer.guess is not None:
+            cost, goal = layer.guess[0], layer.guess[1] + layer.base.start_goal
+        else:
+            cost, goal = facts.cost_and_goal(facts.directed)
+        steps = (
+            written_out.TYPICAL * cost / max(goal, 1e-300) / (layer.base.unit * layer.base.width)
+        )
+        return steps > MOST_STEPS
+
+    @cached_property
+    def _has_exact_tails(self) -> bool:
+        """Whether the tails are the policies of least failure, as is stated or necessary."""
+        merged = self.layer.base.quotient.merged
+        return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self.is_long_shot
+
+    def capped_at(self, cost: float) -> CompiledLayered:
+        """Return the problem with a cap of about this accumulated cost, if its tails are simple.
+
+        If no policy avoids the goal surely from the start, every cap loses something, and the tails
+        become exact at once.
+        """
+        if self.tails is not Tails.ANY_WAY:
+            return self
+        base = self.layer.base
+        exact = float(self.facts.start @ self.facts.riskiest.values.goal) > 0.0
+        most = MOST_ENTRIES // max(base.n_nodes, 1) - 2 * base.width
+        layers = int(min(np.ceil(cost / base.unit), max(most, 0))) + base.width
+        return replace(self, cap=layers, tails=Tails.LEAST_FAILURE if exact else self.tails)
+
+    @cached_property
+    def process(self) -> LayeredProcess:
+        """The process, truncated at the cap."""
+        layer, cap = self.layer, self._first_cap() if self.cap is None else self.cap
+        base = layer.base
+        if not layer.by_sums and (cap + base.width) * base.n_nodes > MOST_ENTRIES:
+            raise ModelError(
+                f"too many layers of accumulated cost ({cap:.6g} of unit {base.unit:g}, on "
+                f"{base.n_nodes:,} states): use a coarser grid of costs or a smaller "
+                f"{'bound on them' if layer.counts_law else 'cost_cap'}"
+            )
+        while (totals := layer.totals(cap)) is None:  # as many as fit; the gap shows the loss
+            check_time()
+            cap *= _LOWER
+        if self._has_exact_tails:
+            tails = layer.exact_tails
+        elif self.tails is Tails.FAILING:
+            tails = layer.failing_tails
+        else:
+            tails = layer.simple_tails
+        return LayeredProcess(base, totals, tails, self.charge)
+
+    def _first_cap(self) -> float:
+        """Return the first cap: the layers that are needed in any case, and a guess of more."""
+        layer, facts, settled = self.layer, self.facts, self.charge.settled
+        if self.fixed_cap is not None:
+            return max(layer.units(self.fixed_cap), 1)
+        if settled is not None and not self._grows:
+            return self._settled_units()
+        base, share = layer.base, written_out.TYPICAL
+        if self.is_trial and layer.by_sums:
+            share, (cost, goal) = _NEARLY, facts.cost_and_goal(facts.directed)
+        elif not self._has_exact_tails and layer.guess is not None:
+            cost, goal = layer.guess
+        else:
+            exact = self._has_exact_tails
+            tails = layer.exact_tails if exact else layer.simple_tails
+            cost, goal = float(base.start @ tails.first.cost), float(base.start @ tails.first.goal)
+        first = layer.units(share * cost / max(goal + base.start_goal, 1e-300))
+        if settled is None and not layer.by_sums:
+            first = written_out.FIRST_LAYERS
+        if not layer.by_sums:
+            first += base.width
+        elif not self.is_trial:
+            first += float(step_costs(facts.model)[1][-1])
+        needed = self._settled_units() if settled or layer.by_sums else 0
+        return needed + first
+
+    def _settled_units(self) -> float:
+        """Return the total, in units, from which the charge is affine or the tail optimal."""
+        layer, settled = self.layer, self.charge.settled or 0.0
+        if layer.utility is not None:
+            return max(layer.units(self.cost_horizon), layer.least_units)
+        if layer.by_sums:
+            return max(settled * (1.0 + written_out.BEYOND), layer.least_units)
+        if layer.base.width == 1:
+            return 1  # no step costs anything
+        return max(layers_within(settled, layer.base.exact_unit), 1)
+
+    def lossless_units(self, price: float) -> float:
+        """Return the total from which failing is optimal at this price, with a margin.
+
+        If the charge is constant in the end, it is the total from which it is.
+        """
+        charge, settled = self.charge, self._settled_units()
+        if charge.slope == 0.0:
+            return settled
+        room = 0 if self.layer.by_sums else 1
+        return max(settled, self.layer.units(CAP_MARGIN * charge.lossless(price)) + room)
+
+    def refined(self, price: float) -> CompiledLayered | None:
+        """Return the problem with more layers or better tails; None: nothing to improve."""
+        layer, here, exact = self.layer, self.process.end, self._has_exact_tails
+        if self.fixed_cap is not None:
+            return None if exact else replace(self, tails=Tails.LEAST_FAILURE)
+        wanted, tails = 2.0 * here, Tails.LEAST_FAILURE
+        if self.charge.settled is None:
+            wanted = wanted if layer.by_sums else min(wanted, _MOST_LAYERS)
+        elif not self._grows:
+            return None
+        else:
+            lossless = self.lossless_units(price)
+            is_near = (self.is_trial or here < lossless) and lossless <= MOST_GROWTH * here
+            wanted = lossless if is_near else wanted if exact else here
+            tails = self.tails if is_near and self.is_trial else tails
+        if layer.by_sums:
+            fits = layer.totals(wanted) is not None
+        else:
+            fits = (wanted + layer.base.width) * layer.base.n_nodes <= MOST_ENTRIES
+        if exact and not self.is_trial and not (fits and here < wanted):
+            return None
+        if not fits:
+            wanted, tails = here, Tails.LEAST_FAILURE
+        return replace(self, cap=wanted, tails=tails)
+
+    def charging(self, charge: Charge, cap: float | None = None) -> CompiledLayered:
+        """Return the problem with another charge and cap, neither charge an exponential one."""
+        return replace(self, charge=charge, cap=cap)
+
+    def safest(self) -> CompiledLayered:
+        """Return the problem restricted to the policies of least failure."""
+        return replace(self, layer=self.layer.safest, cap=None)
+
+    def for_program(self) -> CompiledLayered:
+        """Return the problem with exact tails, the best beyond the cap in any program."""
+        if self._has_exact_tails:
+            return self
+        exact = replace(self, tails=Tails.LEAST_FAILURE)
+        return replace(exact, cap=exact.process.end)
+
+    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledLayered:
+        """Return the problem with as many layers as the value function, [layers, nodes].
+
+        Tails that are not exact become the riskiest policy alone; :meth:`for_program` has exact
+        tails.
+
+        Args:
+            values: the value function.
+            levels: layer totals of a policy found with it, of which the last is the cap.
+
+        Raises:
+            ModelError: the array has too few or too many layers for the charge.
+        """
+        layer, least = self.layer, self._settled_units()
+        if values.ndim != 2 or values.shape[0] < (1 if layer.by_sums else least):
+            raise ModelError(
+                f"values of a wrong shape: pass an array of [layers, nodes], {least} or more layers"
+            )
+        n_layers, tails = values.shape[0], self.tails
+        if not layer.by_sums:
+            tails = tails if tails is Tails.LEAST_FAILURE else Tails.FAILING
+            return replace(self, cap=n_layers, tails=tails)
+        cap, end = least, None
+        while layer.totals(cap) is None:  # as many as fitted
+            check_time()
+            cap *= _LOWER
+        if levels is not None and levels[-1] >= cap:
+            capped = replace(self, cap=float(levels[-1]))
+            if capped.process.cap == n_layers:
+                return capped
+        for _ in range(_DOUBLINGS):
+            if (totals := layer.totals(cap)) is None:
+                break
+            if totals.size >= n_layers:  # the greatest cap with this number of sums
+                end = float(totals.values[n_layers])
+            if totals.size > n_layers:
+                break
+            cap *= 2.0
+        if end is None:
+            raise ModelError("values of too many layers: pass an array of fewer layers")
+        return replace(self, cap=end)
+
+    def least_failure(self) -> LeastFailure:
+        """Return the policy of least charge among those of least failure; it may remember the cost.
+
+        For the total cost nothing must be remembered: a transition to x' is priced ``g * Pmax(x')``
+        (mathematics, section 4).
+
+        Raises:
+            ModelError: its runs have so many zero-cost steps that rounding errors add up.
+        """
+        facts = self.facts
+        policy: Policy
+        if self.charge.is_the_total:
+            safest = facts.safest
+            cost, goal = facts.cost_and_goal(safest)
+            failure = float(facts.start @ safest.values.failure)
+            policy = DeterministicPolicy(facts.model, safest.decision)
+            column = Column(cost, failure, goal, None, policy=policy)
+            bound = float(facts.start @ safest.bound)
+        else:
+            pricing = self.safest().pricing()
+            column = pricing.minimise(0.0)
+            if column.goal < float(facts.start @ facts.greatest.goal) - _LOST:
+                raise ModelError(
+                    "zero-cost cycles make a policy run too long for its failure probability to be "
+                    "computed: give these actions a positive cost, or round the costs"
+                )
+            policy, bound = pricing.policy(column), pricing.prove(0.0, column).bound
+            column = replace(column, choice=None, policy=policy)
+        if self.ratio:
+            greatest = min(float(facts.start @ facts.greatest.bound), 1.0)
+            bound = bound / greatest if greatest > 0.0 else 0.0
+        if self.ratio and column.goal > 0.0:
+            bound = min(bound, column.cost / column.goal)
+        proved = self.proved_failure(facts.greatest, column.failure)
+        return LeastFailure(policy, column, bound, proved)
+
+    @property
+    def layers(self) -> int:
+        """Number of layers below the cap."""
+        return self.process.cap
+
+    @property
+    def n_columns(self) -> int:
+        """Number of pairs of all layers."""
+        return self.process.cap * len(self.layer.base.quotient.pair_at)
+
+    def pricing(self) -> LayeredPricing:
+        """Return the pricing problem, solved by one backward sweep over the layers."""
+        return LayeredPricing(self.process)
+
+    def explicit(self) -> ExplicitProcess:
+        """Return the process with all layers below the cap written out."""
+        return written_out.materialise(self.process)
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """Return the column's pairs: in all layers, in the tails, and at the source."""
+        return written_out.chosen_pairs(self.process, required(column.choice), column.tail_price)
+
+    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
+        """Return the part of a bound that the cap loses; 0 if it is proved lossless."""
+        return self.pricing().tail_loss(price, slack=slack, proof=proof)
