@@ -504,9 +504,6 @@ def _frontier_command(asked: Asked) -> Iterable[str]:
     return _csv_answer(asked["csv"], table) if asked["csv"] else replace(table, shown=None).lines()
 
 
-_LISTED = 8  # actions that ``info`` names
-
-
 def _info_command(asked: Asked) -> Iterable[str]:
     """Run the command ``info`` and return its lines."""
     model, start = command_model(asked).written_out
@@ -518,7 +515,7 @@ def _info_command(asked: Asked) -> Iterable[str]:
         "goals": int(model.goal_mask.sum()),
         "dead-ends": len(dead_end_labels(model)),
         "attention states": len(attention_labels(model)),
-        "actions": names[:_LISTED] + ["..."] * (len(names) > _LISTED),
+        "actions": names[:8] + ["..."] * (len(names) > 8),
         "costs": list(model.costs_by_name),
         "labels": {name: len(members) for name, members in model.state_labels.items()},
     }

@@ -55,8 +55,6 @@ if TYPE_CHECKING:
 MOST_STEPS = 10_000
 """Steps after which an episode without other limits is cut off, as in ``simulate``."""
 
-_POINTS = 3  # of each coordinate in a cell, from which steps are taken
-
 END = "end"
 """First part of ("end", state): the end in a state that only some steps terminate in."""
 
@@ -183,7 +181,8 @@ def from_gymnasium(
         grid: for an environment whose state is an array of coordinates (MountainCar, CartPole): a
             box of the coordinates and its cells. ``goal`` is then a predicate on the points in
             which it terminates, or a set of cells of the grid, and the step limit is not a horizon
-            unless it is given as a number.
+            unless it is given as a number. Steps are taken from three points of each coordinate in
+            a cell.
         survive: whether an episode that still goes on at the horizon has reached the goal.
         dead_ends: the other states in which it terminates, or a predicate on states; any further
             one is then an error. With a grid: "failed" and "outside".
@@ -228,7 +227,7 @@ def from_gymnasium(
         if not callable(goal):
             goal = partial(_is_in_cells, grid, {*no_lone_string(goal, "goal")})
         continuous = continuous_from_gymnasium(env, grid, goal=goal, cost=paid)
-        plain = discretise(continuous, Quadrature(_POINTS)).with_dead_ends(dead_ends)
+        plain = discretise(continuous, Quadrature(3)).with_dead_ends(dead_ends)
         model = GridSSP(**_fields_of(plain), world=continuous, is_goal=goal, step_cost=paid)
         points = start if isinstance(start, Mapping) else {start: 1.0}
         begin = {grid.cell_of(cast("tuple[float, ...]", p)): w for p, w in points.items()}
