@@ -36,7 +36,7 @@ from .arguments import CRITERIA, PARAMETERS, number_argument, option
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ENVIRONMENT = "gym:"
+_ENVIRONMENT = "gym:"
 """Prefix of the name of a Gymnasium environment."""
 
 Asked = Mapping[str, Any]
@@ -87,7 +87,7 @@ def command_model(asked: Asked) -> _CommandModel:
         OSError: the file cannot be read.
     """
     source, goal, cost, ends = (asked[name] for name in ("model", "goal", "cost", "dead_ends"))
-    if source.startswith(ENVIRONMENT):
+    if source.startswith(_ENVIRONMENT):
         return _model_of_environment(asked)
     if cost is None and asked["command"] in ("info", "convert"):  # which minimise no cost
         cost = FIRST_COST
@@ -104,7 +104,7 @@ def command_model(asked: Asked) -> _CommandModel:
 def _model_of_environment(asked: Asked) -> _CommandModel:
     """Make a Gymnasium environment and its model."""
     gymnasium = optional_module("gymnasium", "gym")
-    name, *words = asked["model"].removeprefix(ENVIRONMENT).split(",")
+    name, *words = asked["model"].removeprefix(_ENVIRONMENT).split(",")
     arguments = {key: _value_for_model(word) for key, _, word in (w.partition("=") for w in words)}
     try:
         environment = gymnasium.make(name, **arguments)

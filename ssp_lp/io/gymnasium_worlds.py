@@ -52,9 +52,6 @@ from ssp_lp.policies.remembering import on_original
 if TYPE_CHECKING:
     import gymnasium
 
-MOST_STEPS = 10_000
-"""Steps after which an episode without other limits is cut off, as in ``simulate``."""
-
 END = "end"
 """First part of ("end", state): the end in a state that only some steps terminate in."""
 
@@ -652,7 +649,8 @@ def rollout(
     """
     check_between_0_and_1("confidence", confidence)
     check_whole("episodes", episodes, most=MOST_EPISODES)
-    check_whole("max_steps", MOST_STEPS if max_steps is None else max_steps)
+    max_steps = 10_000 if max_steps is None else max_steps  # as in ``simulate``
+    check_whole("max_steps", max_steps)
     check_whole("seed", seed, 0)
     lottery = as_lottery(policy)
     while isinstance(lottery.model, ProductSSP):
@@ -662,7 +660,7 @@ def rollout(
         raise ModelError("the policy's model has no environment: make it by from_gymnasium(env)")
     limit, step_limits = _step_limit_of(env), [member.step_limit for member in lottery.policies]
     horizon = None if None in step_limits else min(cast("list[int]", step_limits))
-    most = min(m for m in (max_steps or MOST_STEPS, horizon) if m is not None)
+    most = max_steps if horizon is None else min(max_steps, horizon)
     theirs, ours = np.random.SeedSequence(seed).spawn(2)  # one stream would couple their draws
     env.reset(seed=int(theirs.generate_state(1)[0]))
     player = _Player(lottery, np.random.default_rng(ours))
