@@ -42,7 +42,7 @@ from .arguments import CRITERIA, PARAMETERS, number_argument, option
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ENVIRONMENT = "gym:"
+_ENVIRONMENT = "gym:"
 """Prefix of the name of a Gymnasium environment."""
 
 Asked = Mapping[str, Any]
@@ -93,7 +93,7 @@ def command_model(asked: Asked) -> _CommandModel:
         OSError: the file cannot be read.
     """
     source, goal, cost, ends = (asked[name] for name in ("model", "goal", "cost", "dead_ends"))
-    if source.startswith(ENVIRONMENT):
+    if source.startswith(_ENVIRONMENT):
         return _model_of_environment(asked)
     if cost is None and asked["command"] in ("info", "convert"):  # which minimise no cost
         cost = FIRST_COST
@@ -110,7 +110,7 @@ def command_model(asked: Asked) -> _CommandModel:
 def _model_of_environment(asked: Asked) -> _CommandModel:
     """Make a Gymnasium environment and its model."""
     gymnasium = optional_module("gymnasium", "gym")
-    name, *words = asked["model"].removeprefix(ENVIRONMENT).split(",")
+    name, *words = asked["model"].removeprefix(_ENVIRONMENT).split(",")
     arguments = {key: _value_for_model(word) for key, _, word in (w.partition("=") for w in words)}
     try:
         environment = gymnasium.make(name, **arguments)
@@ -513,9 +513,6 @@ def _frontier_command(asked: Asked) -> Iterable[str]:
     return _csv_answer(asked["csv"], table) if asked["csv"] else replace(table, shown=None).lines()
 
 
-_LISTED = 8  # actions that ``info`` names
-
-
 def _info_command(asked: Asked) -> Iterable[str]:
     """Run the command ``info`` and return its lines."""
     model, start = command_model(asked).written_out
@@ -527,7 +524,7 @@ def _info_command(asked: Asked) -> Iterable[str]:
         "goals": int(model.goal_mask.sum()),
         "dead-ends": len(dead_end_labels(model)),
         "attention states": len(attention_labels(model)),
-        "actions": names[:_LISTED] + ["..."] * (len(names) > _LISTED),
+        "actions": names[:8] + ["..."] * (len(names) > 8),
         "costs": list(model.costs_by_name),
         "labels": {name: len(members) for name, members in model.state_labels.items()},
     }

@@ -9,8 +9,8 @@ the level to which a total was rounded.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.resources import files
 from itertools import accumulate
+from pathlib import Path
 from string import Template
 from typing import Any
 
@@ -84,7 +84,7 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
     code_type = next(kind for kind, most in _KINDS.items() if largest <= most)
     states = (f"   {k}: {state!a}".replace("*/", "* /") for k, state in enumerate(model.states))
     actions = ", ".join(_c_string(str(action)) for action in model.action_names)
-    template = Template(files("ssp_lp.io").joinpath("policy.h").read_text("utf-8"))
+    template = Template(Path(__file__).with_name("policy.h").read_text("utf-8"))
     text = template.substitute(
         name=name,
         guard=f"{name.upper()}_H",

@@ -54,11 +54,6 @@ from ssp_lp.policies.remembering import on_original
 if TYPE_CHECKING:
     import gymnasium
 
-MOST_STEPS = 10_000
-"""Steps after which an episode without other limits is cut off, as in ``simulate``."""
-
-_POINTS = 3  # of each coordinate in a cell, from which steps are taken
-
 END = "end"
 """First part of ("end", state): the end in a state that only some steps terminate in."""
 
@@ -185,7 +180,8 @@ def from_gymnasium(
         grid: for an environment whose state is an array of coordinates (MountainCar, CartPole): a
             box of the coordinates and its cells. ``goal`` is then a predicate on the points in
             which it terminates, or a set of cells of the grid, and the step limit is not a horizon
-            unless it is given as a number.
+            unless it is given as a number. Steps are taken from three points of each coordinate in
+            a cell.
         survive: whether an episode that still goes on at the horizon has reached the goal.
         dead_ends: the other states in which it terminates, or a predicate on states; any further
             one is then an error. With a grid: "failed" and "outside".
@@ -230,7 +226,7 @@ def from_gymnasium(
         if not callable(goal):
             goal = partial(_is_in_cells, grid, {*no_lone_string(goal, "goal")})
         continuous = continuous_from_gymnasium(env, grid, goal=goal, cost=paid)
-        plain = discretise(continuous, Quadrature(_POINTS)).with_dead_ends(dead_ends)
+        plain = discretise(continuous, Quadrature(3)).with_dead_ends(dead_ends)
         model = GridSSP(**fields_of(plain, SSP), world=continuous, is_goal=goal, step_cost=paid)
         points = start if isinstance(start, Mapping) else {start: 1.0}
         begin = {grid.cell_of(cast("tuple[float, ...]", p)): w for p, w in points.items()}
@@ -651,7 +647,8 @@ def rollout(
     """
     check_between_0_and_1("confidence", confidence)
     check_whole("episodes", episodes, most=MOST_EPISODES)
-    check_whole("max_steps", MOST_STEPS if max_steps is None else max_steps)
+    max_steps = 10_000 if max_steps is None else max_steps  # as in ``simulate``
+    check_whole("max_steps", max_steps)
     check_whole("seed", seed, 0)
     lottery = as_lottery(policy)
     while isinstance(lottery.model, ProductSSP):
@@ -661,7 +658,7 @@ def rollout(
         raise ModelError("the policy's model has no environment: make it by from_gymnasium(env)")
     limit, step_limits = _step_limit_of(env), [member.step_limit for member in lottery.policies]
     horizon = None if None in step_limits else min(cast("list[int]", step_limits))
-    most = min(m for m in (max_steps or MOST_STEPS, horizon) if m is not None)
+    most = max_steps if horizon is None else min(max_steps, horizon)
     theirs, ours = np.random.SeedSequence(seed).spawn(2)  # one stream would couple their draws
     env.reset(seed=int(theirs.generate_state(1)[0]))
     player = _Player(lottery, np.random.default_rng(ours))

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of, segment_ids
 from ssp_lp.errors import ModelError, in_short
-from ssp_lp.io.model_files.raw_model import RawModel, absorbed
+from ssp_lp.io.model_files.raw_model import GOAL, RawModel, finished
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import DeadEnds, StateSet, goal_mask_of
@@ -86,9 +86,9 @@ def from_matrices(
         probabilities=rows.data[kept],
         costs=paid[kept],
         actions=[names[k] for k in (pairs % n_actions).tolist()],
-        labels={},
+        labels={GOAL: goals},
     )
-    model = absorbed(raw, goals, np.zeros(0, dtype=np.int64), "the matrices")
+    model = finished(raw, GOAL, "the matrices").model
     return model.with_labels(state_labels or {}).with_dead_ends(dead_ends)
 
 

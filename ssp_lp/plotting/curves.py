@@ -194,7 +194,7 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
         ax.plot([budget, budget], [low, high], "_-", color=look.colour, linewidth=2, markersize=14,
                 zorder=5, markeredgewidth=2, label=f"budget {budget:g}: {interval}")  # fmt: skip
         return
-    digits = int(np.clip(-np.log10(frontier.gap), 2, 5))  # as many as the gap leaves certain
+    digits = max(-int(np.log10(max(frontier.gap, 1e-5))), 2)  # as many as the gap leaves certain
     certain = float(f"{value:.{digits}g}")
     ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
             label=f"budget {budget:g}: {certain:.5g}")  # fmt: skip

@@ -179,7 +179,6 @@ def add_legend(ax: Axes) -> None:
 
 _UNSEEN = 1e-6  # expected visits: a cell with fewer is drawn without
 _LONGEST = 0.46  # of a cell's side, from its middle
-_SHORTEST = 0.75  # of the longest: an arrow for a small share
 
 
 class _Seen(NamedTuple):
@@ -331,7 +330,7 @@ def _draw_decisions(ax: Axes, seen: _Seen, directions: FloatArray) -> None:
     cell, action = np.nonzero(taken[:, :-1] & ~still)
     toward = directions[action] / length[action, None]
     share = np.where(several[cell], seen.shares[cell, action], 1.0)[:, None]
-    reach = _LONGEST * (_SHORTEST + (1.0 - _SHORTEST) * share)
+    reach = _LONGEST * (0.75 + 0.25 * share)
     # arrows of several actions begin at the ring around their cell's middle
     begin = np.where(several[cell], 0.08, -0.8 * _LONGEST)[:, None]
     tail, step = seen.middles[cell] + begin * toward, (reach - begin) * toward

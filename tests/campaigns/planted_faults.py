@@ -137,8 +137,8 @@ FAULTS = (
     Fault(
         "controller: half-way between two levels the upper one is taken",
         "ssp_lp/io/controller.py",
-        "nearer_below = total - levels[above - 1] <= levels[above] - total",
-        "nearer_below = total - levels[above - 1] < levels[above] - total",
+        "is_below_nearer = total - levels[above - 1] <= levels[above] - total",
+        "is_below_nearer = total - levels[above - 1] < levels[above] - total",
         "tests/io/test_controller.py",
     ),
     Fault(
@@ -151,8 +151,8 @@ FAULTS = (
     Fault(
         "controller: at its threshold the first tail is still followed",
         "ssp_lp/io/controller.py",
-        "0 if threshold is None or reached < threshold else last",
-        "0 if threshold is None or reached <= threshold else last",
+        "return cap if threshold is None or reached < threshold else",
+        "return cap if threshold is None or reached <= threshold else",
         "tests/io/test_controller.py",
     ),
     Fault(

@@ -17,7 +17,7 @@ from ssp_lp.io.model_files.raw_model import FIRST_COST, opened_text
 from ssp_lp.model import SSP
 from ssp_lp.model.ssp import DeadEnds
 
-EXPLICIT = "explicit-mdp-v1"
+_EXPLICIT = "explicit-mdp-v1"
 """Prefix of the "format" of files that list the choices of numbered states."""
 
 _LONGEST = 1 << 30  # characters of a file, so that a packed one cannot fill all memory
@@ -79,7 +79,7 @@ def _explicit_json(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> dict[str, Any]:
     """Return a file of choices of numbered states as a document of transitions by name."""
-    if not str(table["format"]).startswith(EXPLICIT):
+    if not str(table["format"]).startswith(_EXPLICIT):
         raise ModelError(f"{source}: the format {table['format'][:40]!r} is unknown")
     try:
         choices, labels = table["choices"], dict(table.get("labels", {}))
@@ -105,7 +105,7 @@ def _explicit_json(
     except ModelError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ModelError(f"{source} is no {EXPLICIT} file: {error!r}") from error
+        raise ModelError(f"{source} is no {_EXPLICIT} file: {error!r}") from error
 
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

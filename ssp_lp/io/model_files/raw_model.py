@@ -295,6 +295,7 @@ def finished(
 
     Actions of goal states are dropped. If no action leaves a state with the label "deadlock", its
     actions are dropped: it is a dead-end. States that only pay the rest of a cost are removed.
+    Named costs that are negative or infinite somewhere are left out.
 
     Args:
         raw: content of the file, with consistent arrays.
@@ -306,52 +307,39 @@ def finished(
     Raises:
         ModelError: no state has the label, wrong numbers, or another dead-end.
     """
-    goals = raw.labels.get(goal)
-    if goals is None or not goals.size:
-        labels = ", ".join(sorted(map(repr, raw.labels))) or "none"
-        raise ModelError(f"{source}: no state has the label {goal!r}; labels: {labels}")
-    raw = without_paying_states(raw, goals)
+    if goal not in raw.labels or not raw.labels[goal].size:
+        listed = ", ".join(sorted(map(repr, raw.labels))) or "none"
+        raise ModelError(f"{source}: no state has the label {goal!r}; labels: {listed}")
+    raw = without_paying_states(raw, raw.labels[goal])
     goals = raw.labels[goal]
-    own = {INITIAL, DEADLOCK, goal, *ENDS}
-    kept = {name: members for name, members in raw.labels.items() if name not in own}
     idle, initial = (raw.labels.get(name, goals[:0]) for name in (DEADLOCK, INITIAL))
-    model = absorbed(raw._replace(labels=kept), goals, idle, str(source))
-    if dead_ends is not None:
-        every = {DEADLOCK: [model.states[state] for state in idle.tolist()]}
-        model.with_labels(every).with_dead_ends(dead_ends)
-    return ModelFile(model, tuple(model.states[int(state)] for state in initial))
-
-
-def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP:
-    """Build the model from a raw model, without actions of goals and of idle states.
-
-    Args:
-        raw: content of the file.
-        goals: the goal states.
-        idle: states whose actions are dropped if none of them leaves the state.
-        source: the file, for errors.
-
-    Raises:
-        ModelError: naming the source, the state and the action at fault.
-    """
     state = segment_ids(raw.pair_offsets)
     from_state = np.repeat(state, np.diff(raw.outcome_offsets))
-    acts = np.ones(raw.pair_offsets.size - 1, dtype=np.bool_)
-    leaves = np.zeros_like(acts)
+    leaves = np.zeros(raw.pair_offsets.size - 1, dtype=np.bool_)
     leaves[from_state[(raw.successors != from_state) & (raw.probabilities != 0.0)]] = True
+    acts = np.ones_like(leaves)
     acts[idle] = leaves[idle]
     acts[goals] = False
-    raw = _with_pairs(raw, acts[state])
-    named = {n: c for n, c in raw.named_costs.items() if (c >= 0.0).all() and np.isfinite(c).all()}
-    parts = raw._replace(named_costs=named)._asdict()
+    parts = _with_pairs(raw, acts[state])._asdict()
+    costs, members = parts.pop("named_costs"), parts.pop("labels")
     states = range(acts.size) if raw.states is None else raw.states
-    labels = {name: [states[i] for i in at.tolist()] for name, at in parts.pop("labels").items()}
+    own = {INITIAL, DEADLOCK, goal, *ENDS}
+    labels = {n: [states[k] for k in at.tolist()] for n, at in members.items() if n not in own}
+    named = {n: c for n, c in costs.items() if (c >= 0.0).all() and np.isfinite(c).all()}
     try:
-        return SSP.from_arrays(
-            **parts, goal_states=goals, state_labels=labels, treat_actionless_as_dead_ends=True
+        model = SSP.from_arrays(
+            **parts,
+            goal_states=goals,
+            state_labels=labels,
+            named_costs=named,
+            treat_actionless_as_dead_ends=True,
         )
     except ModelError as error:
         raise ModelError(f"{source}: ", *error.args) from error
+    if dead_ends is not None:
+        every = {DEADLOCK: [states[k] for k in idle.tolist()]}
+        model.with_labels(every).with_dead_ends(dead_ends)
+    return ModelFile(model, tuple(model.states[k] for k in initial.tolist()))
 
 
 def distinct_actions(names: Sequence[str], pair_offsets: IntArray) -> Sequence[str]:

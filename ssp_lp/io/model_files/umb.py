@@ -87,7 +87,12 @@ class UmbArchive:
             members = [member for member in archive if member.isfile()]
             opened = [(each.name, archive.extractfile(each)) for each in members]
             self._files = {name.removeprefix("./"): f.read() for name, f in opened if f is not None}
-        self._index = self._read_index()
+        try:
+            self._index = json.loads(self._files.get(_INDEX, b"").decode())
+        except (ValueError, RecursionError) as error:
+            raise self._fault(f"its {_INDEX} is not JSON: {error}") from error
+        if self._stated(self._index, "format-version", int) != _FORMAT:
+            raise self._fault(f"its {_INDEX} is not of version {_FORMAT}")
         system = self._stated(self._index, "transition-system", dict)
         players = system.get("#players")
         if system.get("time") != "discrete" or players not in (0, 1):
@@ -226,20 +231,6 @@ class UmbArchive:
         if codes.max(initial=0) >= len(words):
             raise self._fault(f"there is no action {codes.max()}")
         return raw_model.distinct_actions([words[code] for code in codes.tolist()], self._pairs)
-
-    def _read_index(self) -> dict[str, Any]:
-        """Return the archive's index.
-
-        Raises:
-            ModelError: no index, or one of another version.
-        """
-        try:
-            index = json.loads(self._files.get(_INDEX, b"").decode())
-        except (ValueError, RecursionError) as error:
-            raise self._fault(f"its {_INDEX} is not JSON: {error}") from error
-        if not isinstance(index, dict) or index.get("format-version") != _FORMAT:
-            raise self._fault(f"its {_INDEX} is not of version {_FORMAT}")
-        return index
 
     def _stated(self, place: Any, name: str, kind: type, *default: Any) -> Any:
         """Return an entry of the index, whose type is checked, or the default."""
