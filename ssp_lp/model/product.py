@@ -144,7 +144,11 @@ class ProductSSP(SSP):
         return distribution
 
     def first_memory(self, states: IntArray) -> IntArray:
-        """Return the index of the first memory of episodes in original states, [episodes]."""
+        """Return the index of the memory with which episodes begin, [episodes].
+
+        Args:
+            states: of the original, in which the episodes begin, [episodes].
+        """
         return np.zeros(len(states), dtype=np.int64)
 
     @property
@@ -179,7 +183,7 @@ class ProductSSP(SSP):
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the pairs of the product in these states for pairs of the original, [entries].
+        """Return the pairs of the product for pairs of the original, [entries].
 
         Args:
             states: of the product, [entries].
@@ -367,12 +371,13 @@ def product(
     first = np.array([model.index_of(state, "start") for state in begin], dtype=np.int64)
     memories = np.full(len(first), number_of(memory.start))
     state, number, fields = unfold(model, (first, memories), after, fails, state_limit)
-    failed = fails(state, number)
-    accepted = np.array([memory.accepts(kept) for kept in numbers], dtype=np.bool_)[number]
-    goal = model.goal_mask[state] & ~failed & accepted
+    failed, kept = fails(state, number), [*numbers]
+    refused = model.goal_mask[state] & ~failed
+    goal = np.zeros_like(refused)
+    goal[refused] = [bool(memory.accepts(kept[k])) for k in number[refused].tolist()]
+    refused &= ~goal
     if not goal.any():
         raise ModelError("no goal that the memory accepts can be reached from the start")
-    refused = model.goal_mask[state] & ~failed & ~accepted
     return ProductSSP(
         **fields,
         states=ProductStates(names, tuple(numbers), read_only(state), read_only(number)),
@@ -598,9 +603,7 @@ def unroll_steps(
     if survive is None:  # label states from which the goal is too many steps away
         nearer, needed = goal_approach(model)
         needed = np.where((nearer >= 0) | model.goal_mask, needed, steps + 1)
-        late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - np.minimum(
-            count, steps
-        )
+        late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - count
     lost = np.concatenate([[], *(model.state_labels[name] for name in survive or ())])
     survived = over & ~np.isin(state, lost) & (survive is not None)
     number = read_only(count, least_integer_type(steps + 1))
