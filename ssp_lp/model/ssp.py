@@ -856,7 +856,7 @@ class ImplicitSSP(SSP):
     """A model given by its successor function (:meth:`SSP.implicit`).
 
     Its states are unknown before it is solved: functions that need its arrays raise
-    :class:`_NotExploredError`.
+    :class:`ModelError`.
     """
 
     parameters: Mapping[str, PlacedParameter] = MappingProxyType({})
@@ -881,7 +881,7 @@ class ImplicitSSP(SSP):
         """Reject an attribute that needs every state of the model.
 
         Raises:
-            _NotExploredError: always.
+            ModelError: always.
         """
         raise _NotExploredError(
             f"an implicit model has no {name!r} before it is explored: take "
