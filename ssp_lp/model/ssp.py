@@ -697,6 +697,10 @@ class SSP(Graph, ReadOnlyCopies):
             _check_idle_states(self, dead_ends, accept=False)
         return self
 
+    def __dir__(self) -> list[str]:
+        """Return the public names of the model, for completion."""
+        return [name for name in super().__dir__() if not name.startswith("_")]
+
     @property
     def costs_by_name(self) -> Mapping[str, FloatArray]:
         """All costs, [outcomes] each, the model's own first: "cost" if it has no name."""
