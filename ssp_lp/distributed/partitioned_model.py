@@ -27,13 +27,8 @@ from ssp_lp.io.archives import StoredModel
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.model.continuous_model import ContinuousModel
-from ssp_lp.model.discretise import (
-    MIDPOINTS,
-    Quadrature,
-    discretised_rows,
-    joined_outcomes,
-)
-from ssp_lp.model.state_rows import Rows, StateRows
+from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
+from ssp_lp.model.state_rows import Rows, StateRows, joined_outcomes
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.conditions import FAILURE_ROW

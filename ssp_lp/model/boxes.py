@@ -158,7 +158,7 @@ class Boxes(Report, ReadOnlyCopies):
         return [Table(rows, head, title, self._remarks(), left=3)]
 
     def _remarks(self) -> list[str]:
-        """Return notes on the boxes' gaps: successors never seen, pairs of few counts."""
+        """Return notes on weak data: successors never seen, pairs with few counts."""
         model, counts = self.model, self.model.counts
         if counts is None or self.confidence is None:
             return []

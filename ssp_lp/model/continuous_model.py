@@ -17,6 +17,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     ReadOnlyCopies,
+    least_integer_type,
     read_only,
 )
 from ssp_lp.errors import ModelError, in_short
@@ -71,7 +72,7 @@ class Axis:
 
     @property
     def width(self) -> float:
-        """Width of a cell on the continuous model's axis."""
+        """Width of a cell."""
         return (self.high - self.low) / self.cells
 
     def misses(self, heights: FloatArray) -> BoolArray:
@@ -81,11 +82,11 @@ class Axis:
         return ~((heights >= -ON_EDGE) & (heights <= self.cells + ON_EDGE))
 
     def above(self, heights: FloatArray) -> IntArray:
-        """Return the axis's cell at each height, the upper one on an edge."""
+        """Return the cell at each height (in widths of a cell), the upper one on an edge."""
         return self._numbered(np.floor(heights + ON_EDGE))
 
     def below(self, heights: FloatArray) -> IntArray:
-        """Return the axis's cell at each height, the lower one on an edge."""
+        """Return the cell at each height (in widths of a cell), the lower one on an edge."""
         return self._numbered(np.ceil(heights - ON_EDGE) - 1.0)
 
     def wrapped(self, values: FloatArray) -> FloatArray:
@@ -124,22 +125,22 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of the continuous model's cells along each axis."""
+        """Number of cells along each axis."""
         return tuple(int(axis.cells) for axis in self.axes)
 
     @property
     def n_cells(self) -> int:
-        """Number of cells of the continuous model's grid."""
+        """Number of cells."""
         return math.prod(self.shape)
 
     @cached_property
     def strides(self) -> tuple[int, ...]:
-        """Difference of a grid cell's number to the next cell along each axis."""
+        """Difference between the numbers of neighbouring cells along each axis."""
         return tuple(math.prod(self.shape[k + 1 :]) for k in range(len(self.axes)))
 
     @explained
     def index_of(self, cells: npt.ArrayLike) -> tuple[IntArray, ...]:
-        """Return the position of each grid cell along each axis; :class:`ModelError` if unknown."""
+        """Return the position of each cell along each axis; :class:`ModelError` if unknown."""
         given = np.asarray(cells)
         if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
             raise ModelError(f"cells are whole numbers, 0 .. {self.n_cells - 1}; ends have others")
@@ -147,7 +148,7 @@ class Grid:
 
     @explained
     def centre(self, cells: npt.ArrayLike) -> FloatArray:
-        """Return the midpoints of grid cells: numbers of any shape -> [..., axes]."""
+        """Return the midpoints of cells: numbers of any shape -> [..., axes]."""
         index = zip(self.axes, self.index_of(cells), strict=True)
         return np.stack([axis.low + (k + 0.5) * axis.width for axis, k in index], axis=-1)
 
@@ -167,7 +168,7 @@ class Grid:
 
     @explained
     def cell_of(self, points: npt.ArrayLike) -> Any:
-        """Return the grid cell of each point: [..., axes] -> numbers, an int for a single point.
+        """Return the cell of each point: [..., axes] -> numbers, an int for a single point.
 
         Raises:
             ModelError: a point lies outside the box, or has another number of coordinates.
@@ -190,7 +191,7 @@ class Grid:
         )
 
     def misses(self, heights: Coordinates) -> BoolArray:
-        """Return a mask of points outside the grid's box, broadcast over the axes they miss."""
+        """Return a mask of points outside the box, which broadcasts to the points."""
         missed: BoolArray = np.zeros((), dtype=np.bool_)
         for axis, values in zip(self.axes, heights, strict=True):
             off = axis.misses(values)
@@ -199,10 +200,10 @@ class Grid:
         return missed
 
     def numbers_about(self, heights: Coordinates, *, split: bool = True) -> list[IntArray]:
-        """Return the grid cells among which each point is divided equally: one array, or 2, 4, ...
+        """Return the cells among which each point is divided equally: one array, or 2, 4, ...
 
-        Several cells only for a point on an edge of an axis with ``split_edges``; else the upper
-        one.
+        A point has several cells only on an edge of an axis with ``split_edges``, otherwise one,
+        on an edge the upper one.
         """
         parts: list[list[IntArray]] = []
         for axis, stride, values in zip(self.axes, self.strides, heights, strict=True):
@@ -367,27 +368,29 @@ class ContinuousModel:
 
     @property
     def n_states(self) -> int:
-        """Number of the continuous model's states: cells, goal and dead-ends."""
+        """Number of states of the discretised model: cells, goal and dead-ends."""
         return self.grid.n_cells + 1 + len(self.dead_ends)
 
     @cached_property
     def allowed_pairs(self) -> IntArray | None:
-        """Pairs of the continuous model, cell * actions + action, [pairs]; None: all pairs.
+        """Allowed pairs, each as cell * actions + action, [pairs]; None: all pairs.
 
         Raises:
             ModelError: ``allowed`` returns no truth values, or leaves a cell without actions.
         """
-        return self.allowed_between(0, self.grid.n_cells)
+        return None if self.allowed is None else self.pairs_between(0, self.grid.n_cells)
 
-    def allowed_between(self, first: int, end: int) -> IntArray | None:
-        """Return the pairs of cells first .. end - 1, as in ``allowed_pairs``.
+    def pairs_between(self, first: int, end: int) -> IntArray:
+        """Return the allowed pairs of cells first .. end - 1, as in ``allowed_pairs``.
 
         Raises:
             ModelError: ``allowed`` returns no truth values, or leaves a cell without actions.
         """
-        if self.allowed is None:
-            return None
         n_actions, count = len(self.actions), end - first
+        kind = least_integer_type(self.grid.n_cells * n_actions)
+        pairs = np.arange(first * n_actions, end * n_actions, dtype=kind)
+        if self.allowed is None:
+            return pairs
         middles = tuple(self.grid.centre(np.arange(first, end)).T)
         there = np.empty((count, n_actions), dtype=np.bool_)
         for k, action in enumerate(self.actions):
@@ -405,7 +408,7 @@ class ContinuousModel:
                 f"no action is allowed in the cell about {middle}: allow one, or let the steps "
                 "that lead there end in a dead-end"
             )
-        return read_only(np.flatnonzero(there) + first * n_actions)
+        return read_only(pairs[there.ravel()])
 
     @explained
     def end_state(self, end: str | int) -> int:
@@ -488,7 +491,7 @@ def take_step_in_world(
 def _read_world(
     answer: Any, n_axes: int, shape: tuple[int, ...]
 ) -> tuple[Coordinates, FloatArray, IntArray]:
-    """Return the checked coordinates, cost and end that a continuous model's step returned."""
+    """Return the checked coordinates, cost and end in the answer of a step function."""
     if not isinstance(answer, tuple) or len(answer) != 3:
         raise ModelError(f"step must return (new point, cost, end), not {type(answer).__name__}")
     moved, paid, ended = answer
@@ -508,7 +511,7 @@ def _read_world(
 
 
 def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[Any]:
-    """Return a value of a continuous model's step as an array with the points' dimensions."""
+    """Return a value in the answer of a step function as an array with the points' dimensions."""
     array = np.asarray(answer)
     array = array.reshape((1,) * (len(shape) - array.ndim) + array.shape)
     fits = array.ndim == len(shape) and all(
@@ -548,7 +551,7 @@ class WorldSimulator:
             raise ModelError(f"start needs {len(axes)} coordinates, not {len(self.start)}")
 
     def check_model(self, model: SSP) -> None:
-        """Raise :class:`ModelError` for a model whose states are not the continuous world's."""
+        """Raise :class:`ModelError` for a model whose number of states is not the world's."""
         if model.n_states != self.world.n_states:
             raise ModelError(
                 f"the simulator's world has {self.world.n_states:,} states, the policy's model "
@@ -556,7 +559,7 @@ class WorldSimulator:
             )
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
-        """Draw starts in the continuous world: coordinates, [episodes, axes], and cells.
+        """Draw starts: coordinates, [episodes, axes], and cells, [episodes].
 
         Raises:
             ModelError: a start outside the box.
@@ -572,7 +575,7 @@ class WorldSimulator:
         return world, self.world.grid.cell_of(world)
 
     def step(self, world: FloatArray, pair: IntArray, rng: np.random.Generator) -> Moved:
-        """Take a step in the continuous world from coordinates, [k, axes], by pairs, [k].
+        """Take a step from coordinates, [k, axes], by pairs, [k].
 
         Returns:
             The coordinates, those of periodic axes within the box, the states of the grid model,

@@ -14,8 +14,6 @@ import numpy as np
 from ssp_lp.arrays import (
     FloatArray,
     IntArray,
-    entries_of,
-    least_integer_type,
     offsets_of,
     read_only,
 )
@@ -23,6 +21,7 @@ from ssp_lp.errors import ModelError, check_whole, in_short
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.continuous_model import ContinuousModel, Coordinates, take_step_in_world
 from ssp_lp.model.ssp import SSP
+from ssp_lp.model.state_rows import Outcomes, joined_outcomes
 
 _MOST_POINTS = 1_000_000  # along one axis
 
@@ -79,7 +78,7 @@ class Quadrature:
         return _Trials(tuple(map(len, shares)), None if equal else combined, draw, repeatable=True)
 
     def _parts(self, model: ContinuousModel) -> list[tuple[FloatArray, FloatArray]]:
-        """Return the points and weights of each axis, in widths of a cell, and random number."""
+        """Return points and weights by axis, in widths of a cell, and by random number."""
         n_axes, n_noise = len(model.grid.axes), len(model.noise)
         given = self.points
         counts: list[Any] = np.ravel(given).tolist() * (1 if np.ndim(given) else n_axes + n_noise)
@@ -172,23 +171,8 @@ class Samples:
         return min(2.0, math.sqrt(2.0 * logarithm / self.number))
 
 
-class Outcomes(NamedTuple):
-    """The outcomes of some pairs; the successors of a pair are distinct and ascend."""
-
-    lengths: IntArray  # [pairs] number of outcomes of each
-    successors: IntArray  # [outcomes]
-    probabilities: FloatArray  # [outcomes]
-    costs: FloatArray  # [outcomes], or [] for one number
-
-    def rows(self, wanted: IntArray) -> Outcomes:
-        """Return the discretised outcomes of the pairs with these positions, in their order."""
-        places, lengths = entries_of(offsets_of(self.lengths), wanted)
-        costs = self.costs[places] if self.costs.ndim else self.costs
-        return Outcomes(lengths, self.successors[places], self.probabilities[places], costs)
-
-
 def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Outcomes:
-    """Count the outcomes of trials, to discretise a pair.
+    """Count the outcomes of trials of pairs.
 
     Args:
         states: successor in each trial, [pairs, trials].
@@ -221,18 +205,6 @@ def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArr
         paid = np.repeat(costs[:, 0], lengths)
     successors = ordered.ravel()[firsts].astype(np.int32)
     return Outcomes(lengths, successors, mass / share.sum(), paid)
-
-
-def joined_outcomes(parts: Sequence[Outcomes]) -> Outcomes:
-    """Concatenate outcomes of several blocks of pairs; costs that are all equal stay one number."""
-    costs = [rows.costs for rows in parts] or [np.asarray(0.0)]
-    if any(each.ndim or each != costs[0] for each in costs):
-        costs = [np.broadcast_to(rows.costs, rows.successors.shape) for rows in parts]
-    paid = np.concatenate(costs) if costs[0].ndim else costs[0]
-    empty = Outcomes(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0), paid)
-    *arrays, _ = zip(empty, *parts, strict=True)
-    lengths, successors, chances = map(np.concatenate, arrays)
-    return Outcomes(lengths, successors, chances, paid)
 
 
 TRIALS: Final = 1 << 19
@@ -323,14 +295,8 @@ def discretised_rows(
         raise ModelError(f"points must be Quadrature(4) or Samples(1000, seed=0), not {points!r}")
     trials, n_cells, n_actions = points.trials(world), world.grid.n_cells, len(world.actions)
     begin, behind = min(first, n_cells), min(end, n_cells)
-    is_whole = (begin, behind) == (0, n_cells)
-    pairs = world.allowed_pairs if is_whole else world.allowed_between(begin, behind)
-    if pairs is None:
-        number = least_integer_type(n_cells * n_actions)
-        pairs = np.arange(begin * n_actions, behind * n_actions, dtype=number)
-        actions = np.full(behind - begin, n_actions)
-    else:
-        actions = np.bincount(pairs // n_actions - begin, minlength=behind - begin)
+    pairs = world.pairs_between(begin, behind)
+    actions = np.bincount(pairs // n_actions - begin, minlength=behind - begin)
     parts = _rows_of_pairs(world, trials, pairs, progress)
 
     # at the ends: the goal has no actions, dead-ends are absorbing
@@ -349,7 +315,7 @@ def _rows_of_pairs(
     pairs: IntArray,
     progress: Callable[[int, int], None] | None,
 ) -> list[Outcomes]:
-    """Return the outcomes of pairs in increasing order, in blocks; a group of equals only once."""
+    """Return the outcomes of ascending pairs, in blocks; those of equal pairs are computed once."""
     distinct, row_of_pair = _distinct_pairs(world, pairs)
     parts, size = list[Outcomes](), max(1, TRIALS // math.prod(trials.shape))
     for begin in range(0, len(distinct), size):
@@ -365,7 +331,7 @@ def _rows_of_pairs(
 
 
 def _discretised_rows(world: ContinuousModel, trials: _Trials, pairs: IntArray) -> Outcomes:
-    """Return the outcomes of some discretised pairs, in increasing order."""
+    """Return the outcomes of some pairs."""
     cells, action = np.divmod(pairs, len(world.actions))
     rows = [np.flatnonzero(action == number) for number in np.unique(action)]
     made = [_rows_of_action(world, trials, cells[some], int(action[some[0]])) for some in rows]
@@ -375,7 +341,7 @@ def _discretised_rows(world: ContinuousModel, trials: _Trials, pairs: IntArray) 
 def _rows_of_action(
     world: ContinuousModel, trials: _Trials, cells: IntArray, action: int
 ) -> Outcomes:
-    """Return the outcomes of one discretised action in some cells."""
+    """Return the outcomes of one action in some cells."""
     point, noise = trials.draw(cells)
     shape = (*trials.shape, len(cells))
     taken = take_step_in_world(world, point, action, noise, shape)
@@ -403,7 +369,7 @@ def _rows_of_action(
 
 
 def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, IntArray | None]:
-    """Return one discretised pair of each group of equals, and each pair's position among them.
+    """Return the first pair of each group of equal pairs, and for each pair the place of its group.
 
     All pairs and None if the world has no function ``alike``.
     """
@@ -438,7 +404,7 @@ def _repeated_rows(
     row_of_pair: IntArray,
     most_checks: int = 30,
 ) -> Outcomes:
-    """Return the outcomes of discretised pairs from those of the distinct pairs.
+    """Return the outcomes of all pairs from those of the distinct pairs.
 
     Some pairs of groups of equals are recomputed as a check.
 

@@ -66,7 +66,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Outcome of the original of each outcome of the failure product, [outcomes]."""
+        """Outcome of the original of each outcome, [outcomes]."""
         return np.asarray(entries_of(self.original.outcome_offsets, self.original_pair)[0])
 
     @cached_property
@@ -88,12 +88,12 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def ended(self) -> BoolArray:
-        """States of the failure product in which a run is over without the goal, [states]."""
+        """States in which a run is over without the goal, [states]."""
         return (self.lost | self.after) & ~np.tile(self.is_open, 2)
 
     @cached_property
     def stop_marks(self) -> IntArray:
-        """Number of the end that a run has if it stops in a state of the product, [states].
+        """Number of the end that a run has if it stops in a state, [states].
 
         A dead-end's own number, otherwise that of having given up (``graph.end_marks``).
         """
@@ -102,7 +102,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def end_marks(self) -> IntArray:
-        """Number of the end that a run has in each state of the product, -1: none, [states]."""
+        """Number of the end that a run has in a state, -1 if it goes on, [states]."""
         return np.where(self.goal_mask, 0, np.where(self.ended, self.stop_marks, -1))
 
     @cached_property
@@ -126,7 +126,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def _staying(self) -> BoolArray:
-        """Pairs of the failure product that may stay for ever with a finite count."""
+        """Pairs that a run may take for ever with a finite count, [pairs]."""
         going = ~self.ended & ~self.goal_mask
         failed = self.fails | self.after[self.pair_state]
         free = self.free_pairs[failed.astype(np.int64), self.original_pair]
@@ -138,7 +138,7 @@ class FailureSSP(ProductSSP):
         return self.original_pair[self._staying & self.after[self.pair_state]]
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the failure product's pairs for pairs of the original, -1 if none, [entries].
+        """Return the pairs here for pairs of the original, -1 if there are none, [entries].
 
         Before failing, these are the pairs of live states without giving up.
 
@@ -155,21 +155,21 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def _places(self) -> IntArray:
-        """Failure product's pair of each original one: before, after, and taking the label."""
+        """Pair here of each original one: before failing, after it, and failing, [3, pairs]."""
         places = np.full((3, self.original.n_pairs), -1, dtype=np.int64)
         kind = np.where(self.fails, 2, self.after[self.pair_state].astype(np.int64))
         places[kind, self.original_pair] = np.arange(self.n_pairs)
         return places
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """Return the states of the failure product after steps of these pairs, [episodes]."""
+        """Return the states after steps, [episodes]; see :meth:`ProductSSP.moved`."""
         failed = self.fails[pairs] | self.after[self.pair_state[pairs]]
         return np.asarray(successors + self.n_original * failed)
 
     def spread_costs(
         self, costs: FloatArray, charge: FloatArray, *, through: bool = False
     ) -> FloatArray:
-        """Return the costs of the original as counted in the failure product, [outcomes].
+        """Return the costs of the original as counted here, [outcomes].
 
         Args:
             costs: [original outcomes].

@@ -63,27 +63,27 @@ class Graph:
 
     @cached_property
     def n_states(self) -> int:
-        """Number of the graph's states, goals included."""
+        """Number of states, goals included."""
         return len(self.pair_offsets) - 1
 
     @cached_property
     def n_pairs(self) -> int:
-        """Number of the graph's state-action pairs."""
+        """Number of state-action pairs."""
         return len(self.outcome_offsets) - 1
 
     @cached_property
     def n_outcomes(self) -> int:
-        """Number of the graph's outcomes over all pairs."""
+        """Number of outcomes of all pairs."""
         return len(self.successors)
 
     @cached_property
     def pair_state(self) -> IntArray:
-        """State of each pair of the graph, [pairs]."""
+        """State of each pair, [pairs]."""
         return read_only(segment_ids(self.pair_offsets))
 
     @cached_property
     def predecessors(self) -> _Predecessors:
-        """Reversed graph: the pairs that may lead to each state; computed on first use."""
+        """Pairs that may lead to each state: the reversed graph; computed on first use."""
         ends, columns = possible_steps(self.outcome_offsets, self.successors, self.probabilities)
         present, shape = np.ones(columns.size, dtype=np.bool_), (self.n_pairs, self.n_states)
         ends = narrow(ends)
@@ -98,7 +98,7 @@ def possible_steps(
     probabilities: FloatArray,
     chosen: BoolArray | None = None,
 ) -> tuple[IntArray, IntArray]:
-    """Return the edges of the model's graph: the outcomes of positive probability.
+    """Return the edges of a graph: the outcomes of positive probability.
 
     Args:
         outcome_offsets: [pairs + 1].
@@ -195,7 +195,7 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
 def surely_ending(
     model: Graph, ends: BoolArray, leading: BoolArray, hopeless: BoolArray
 ) -> tuple[BoolArray, BoolArray, IntArray]:
-    """Return the states from which some policy surely ends, as :func:`surely_reaching` does.
+    """Return the states from which some policy ends surely; see :func:`surely_reaching`.
 
     Args:
         model: the graph.
@@ -219,14 +219,14 @@ def surely_ending(
 
 @kept
 def goal_pairs(model: SSP) -> BoolArray:
-    """Return the pairs of the graph that may lead to a goal, [pairs]."""
+    """Return the pairs that may lead to a goal, [pairs]."""
     before, leading = model.predecessors, np.zeros(model.n_pairs, dtype=np.bool_)
     leading[before.pairs[entries_of(before.offsets, model.goal_mask.nonzero()[0])[0]]] = True
     return leading
 
 
 def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
-    """Return the pairs of the graph that may lead to one of the states, [pairs].
+    """Return the pairs that may lead to one of some states, [pairs].
 
     Args:
         states: [states].
@@ -266,7 +266,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 
 
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
-    """Return the model's graph for scipy's graph searches; its weights take no memory."""
+    """Return the matrix of a graph for scipy's searches; its weights take no memory."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape, offsets = (len(offsets) - 1, len(offsets) - 1), narrow(offsets)
     return csr_of(weights, columns.astype(offsets.dtype, copy=False), offsets, shape)
@@ -294,7 +294,7 @@ def nearer_pairs(
     usable: BoolArray | None = None,
     distance: IntArray | None = None,
 ) -> IntArray:
-    """Return the pair of each state that may lead nearer to a leaving pair in the graph.
+    """Return the pair of each state that may lead nearer to a leaving pair.
 
     A state with a leaving pair takes that pair; among pairs that lead equally near, the first one.
 
@@ -340,7 +340,7 @@ def nearer_pairs(
 def drain(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> None:
-    """Close pairs of the graph that may lead to a closed state, and states with no pair left.
+    """Close the pairs that may lead to a closed state, then states with no pair left, and so on.
 
     Args:
         open_pairs: [pairs].
@@ -368,7 +368,7 @@ def drain(
 def _drain_one_by_one(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> IntArray:
-    """Drain the graph in a loop while few states close; return those that are left."""
+    """Drain a graph state by state while few are waiting; return the waiting states."""
     before, waiting = model.predecessors, deque(closed_states.tolist())
     is_open, counts = open_pairs.data, open_counts.data  # faster entry by entry
     home_of, offsets = model.pair_state.data, before.offsets.data
@@ -391,7 +391,7 @@ def _drain_one_by_one(
 def close_pairs(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, pairs: IntArray
 ) -> IntArray:
-    """Close open pairs of the graph in place; return the states with none left open."""
+    """Close open pairs in place; return the states whose last open pair was closed."""
     open_pairs[pairs] = False
     state = model.pair_state[pairs]
     np.subtract.at(open_counts, state, 1)
@@ -436,7 +436,7 @@ def attention_labels(model: SSP) -> frozenset[Hashable]:
 
 
 def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArray]:
-    """Return the maximal end components of the model's graph, restricted to the allowed pairs.
+    """Return the maximal end components of a graph, restricted to the allowed pairs.
 
     An end component is a set of states and of pairs whose successors all stay in the set, that is
     strongly connected by these pairs. In rounds, states and pairs that cannot stay among the

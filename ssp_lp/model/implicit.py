@@ -28,6 +28,7 @@ from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError, in_short, is_number
 from ssp_lp.model.graph import Graph, reaching_states
 from ssp_lp.model.ssp import SSP, UNEXPLORED, FlatModel, ImplicitSSP
+from ssp_lp.model.state_rows import Outcomes, joined_outcomes
 
 BEYOND, LOST = "(a goal beyond)", "(lost beyond)"
 """States of the explored part in which the ways out of its fringe end."""
@@ -42,7 +43,10 @@ _NOTHING: Any = None  # until the arrays of the model have been checked
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExploredSSP(SSP):
-    """The explored part of an implicit model: expanded states, the fringe, goals, two ends."""
+    """The explored part of an implicit model.
+
+    Its states are, in this order: expanded states, the fringe, goals, and the two ends.
+    """
 
     whole: ImplicitSSP = field(kw_only=True, default=_NOTHING)
     n_expanded: int = field(kw_only=True, default=0)
@@ -246,28 +250,22 @@ class Exploration:
         own, doubtful = self._own_ways(rows), np.zeros(n_found + 2, dtype=np.bool_)
         blocks = [own]
         if may_end:
-            arriving = np.array(self.failure_bounds)[numbers] < 1.0
-            doubtful[:n_expanded] = own.doubtful(n_expanded, n_live, arriving)
-            failing = doubtful.nonzero()[0]
-            charges = own.least_costs(n_expanded)[failing] if charged else np.zeros(failing.size)
-            paid = np.pad(charges[:, None], ((0, 0), (0, len(names))))
-            once, lost = np.ones(failing.size, dtype=np.int64), np.full(failing.size, n_found + 1)
-            blocks.append(
-                _Ways(failing, once, lost, np.ones(failing.size), paid, [FAIL] * len(once))
-            )
+            blocks.append(self._ways_lost(own, numbers, n_live, charged=charged))
+            doubtful[blocks[-1].owner] = True
         blocks.append(self._ways_out(fringe, n_expanded, survival, names))
         ways = _Ways.joined(blocks)
+        lengths, targets, chances, costs = ways.outcomes
         made: Any = ExploredSSP.from_arrays(
             pair_offsets=offsets_of(np.bincount(ways.owner, minlength=n_found + 2)),
-            outcome_offsets=offsets_of(ways.lengths),
-            successors=ways.targets,
-            probabilities=ways.chances,
-            costs=ways.costs[:, 0],
+            outcome_offsets=offsets_of(lengths),
+            successors=targets,
+            probabilities=chances,
+            costs=costs[:, 0],
             goal_states=np.append(np.arange(n_live, n_found), n_found),
             states=[self.flat.states[k] for k in numbers.tolist()] + [BEYOND, LOST],
             actions=ways.labels,
             exact_costs=self.flat.arrays["exact_costs"],
-            named_costs=dict(zip(names, ways.costs[:, 1:].T, strict=True)),
+            named_costs=dict(zip(names, costs[:, 1:].T, strict=True)),
             treat_actionless_as_dead_ends=True,
         )
         labels = {name: np.sort(rows[held]) for name, held in self.labelled.items()}
@@ -286,17 +284,44 @@ class Exploration:
         return part
 
     def _own_ways(self, rows: IntArray) -> _Ways:
-        """Return the actions of the expanded states; ``rows``: positions in the explored part."""
+        """Return the actions of the expanded states.
+
+        Args:
+            rows: position in the explored part of each state found, [states found].
+        """
         flat = self.flat.arrays
         counts, lengths = np.diff(flat["pair_offsets"]), np.diff(flat["outcome_offsets"])
-        return _Ways(
-            np.repeat(np.arange(counts.size), counts),
+        outcomes = Outcomes(
             lengths,
             rows[np.array(flat["successors"], dtype=np.int64)],
             np.array(flat["probabilities"], dtype=np.float64),
             np.array([flat["costs"], *flat["named_costs"].values()], dtype=np.float64).T,
-            flat["actions"],
         )
+        return _Ways(np.repeat(np.arange(counts.size), counts), outcomes, flat["actions"])
+
+    def _ways_lost(self, own: _Ways, numbers: IntArray, n_live: int, *, charged: bool) -> _Ways:
+        """Return the way "fail" of the expanded states that reach the goal through the fringe only.
+
+        Args:
+            own: actions of the expanded states, which come first.
+            numbers: of all states found, in the order of the explored part.
+            n_live: number of the expanded states and the fringe; the goals come last.
+            charged: whether failing costs a state's cheapest action.
+        """
+        lengths, targets, chances, costs = own.outcomes
+        pairs = offsets_of(np.bincount(own.owner, minlength=numbers.size))
+        graph, place = Graph(pairs, offsets_of(lengths), targets, chances), np.arange(numbers.size)
+        goals, beyond = place >= n_live, place >= len(self.expanded)
+        hopeful = goals | (beyond & (np.array(self.failure_bounds)[numbers] < 1.0))
+        doubtful = reaching_states(graph, hopeful) & ~reaching_states(graph, goals) & ~beyond
+        failing = np.flatnonzero(doubtful)
+        paid = np.zeros((failing.size, costs.shape[1]))
+        if charged:
+            means = segment_sums(chances * costs[:, 0], graph.outcome_offsets)
+            paid[:, 0] = segment_minima(means, pairs)[failing]
+        once, lost = np.ones(failing.size, dtype=np.int64), np.full(failing.size, numbers.size + 1)
+        outcomes = Outcomes(once, lost, np.ones(failing.size), paid)
+        return _Ways(failing, outcomes, [FAIL] * failing.size)
 
     def _ways_out(
         self, fringe: IntArray, n_expanded: int, survival: float, names: list[str]
@@ -323,56 +348,24 @@ class Exploration:
         ).reshape(fringe.size, 1 + len(names))
         costs = np.zeros((*chances.shape, 1 + len(names)))
         costs[:, 0] = survival * np.where(np.isfinite(bounds), bounds, 0.0)
-        return _Ways(
-            np.repeat(n_expanded + np.arange(fringe.size), 2),
-            np.stack([occurs[:, :2].sum(axis=1), occurs[:, 2]], axis=1).ravel(),
-            ends[occurs],
-            chances[occurs],
-            costs[occurs],
-            [ARRIVE, FAIL] * fringe.size,
-        )
+        lengths = np.stack([occurs[:, :2].sum(axis=1), occurs[:, 2]], axis=1).ravel()
+        outcomes = Outcomes(lengths, ends[occurs], chances[occurs], costs[occurs])
+        owner = np.repeat(n_expanded + np.arange(fringe.size), 2)
+        return _Ways(owner, outcomes, [ARRIVE, FAIL] * fringe.size)
 
 
 class _Ways(NamedTuple):
     """Actions of states of the explored part, in flat arrays."""
 
-    owner: IntArray  # [pairs]
-    lengths: IntArray  # [pairs] number of outcomes
-    targets: IntArray  # [outcomes]
-    chances: FloatArray  # [outcomes]
-    costs: FloatArray  # [outcomes, 1 + costs by name]
+    owner: IntArray  # [pairs] state of each
+    outcomes: Outcomes  # of the pairs, with [outcomes, 1 + costs by name]
     labels: list[Hashable]  # [pairs]
 
     @staticmethod
     def joined(blocks: Sequence[_Ways]) -> _Ways:
         """Return several blocks as one, in the order of their states."""
-        owner, lengths, *flat = (
-            np.concatenate(parts) for parts in list(zip(*blocks, strict=True))[:5]
-        )
+        owner = np.concatenate([block.owner for block in blocks])
         order = np.argsort(owner, kind="stable")
-        entries = entries_of(offsets_of(lengths), order)[0]
-        targets, chances, costs = (numbers[entries] for numbers in flat)
+        outcomes = joined_outcomes([block.outcomes for block in blocks]).rows(order)
         labels = [label for block in blocks for label in block.labels]
-        labels = [labels[k] for k in order.tolist()]
-        return _Ways(owner[order], lengths[order], targets, chances, costs, labels)
-
-    def doubtful(self, n_expanded: int, n_live: int, arriving: BoolArray) -> BoolArray:
-        """Return a mask of expanded states that reach the goal through the fringe only, [expanded].
-
-        Args:
-            n_expanded: number of expanded states.
-            n_live: number of these and of the fringe, which comes next; the goals come last.
-            arriving: whether a state of the fringe may reach the goal, by all states found.
-        """
-        pairs = offsets_of(np.bincount(self.owner, minlength=arriving.size))
-        graph = Graph(pairs, offsets_of(self.lengths), self.targets, self.chances)
-        place = np.arange(arriving.size)
-        goals, fringe = place >= n_live, (place >= n_expanded) & (place < n_live)
-        known = reaching_states(graph, goals)
-        return (reaching_states(graph, goals | (fringe & arriving)) & ~known)[:n_expanded]
-
-    def least_costs(self, n_expanded: int) -> FloatArray:
-        """Return the expected cost of each expanded state's cheapest action, [expanded]."""
-        means = segment_sums(self.chances * self.costs[:, 0], offsets_of(self.lengths))
-        counts = np.bincount(self.owner, minlength=n_expanded)
-        return segment_minima(means, offsets_of(counts))
+        return _Ways(owner[order], outcomes, [labels[k] for k in order.tolist()])

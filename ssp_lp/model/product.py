@@ -144,7 +144,11 @@ class ProductSSP(SSP):
         return distribution
 
     def first_memory(self, states: IntArray) -> IntArray:
-        """Return the index of the first memory of episodes in original states, [episodes]."""
+        """Return the index of the memory with which episodes begin, [episodes].
+
+        Args:
+            states: of the original, in which the episodes begin, [episodes].
+        """
         return np.zeros(len(states), dtype=np.int64)
 
     @property
@@ -179,7 +183,7 @@ class ProductSSP(SSP):
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the pairs of the product in these states for pairs of the original, [entries].
+        """Return the pairs of the product for pairs of the original, [entries].
 
         Args:
             states: of the product, [entries].
@@ -332,8 +336,8 @@ def product(
         label "memory fails", goals that it does not accept "goal not accepted".
 
     Raises:
-        ModelError: more states than the limit (a memory that grows without end), or a function
-            of the memory returns a wrong value.
+        ModelError: more states than the limit (a memory that grows without end), no goal that the
+            memory accepts, or a function of the memory returns a wrong value.
     """
     check_model(model, "product")
     if not isinstance(memory, Memory):
@@ -367,12 +371,13 @@ def product(
     first = np.array([model.index_of(state, "start") for state in begin], dtype=np.int64)
     memories = np.full(len(first), number_of(memory.start))
     state, number, fields = unfold(model, (first, memories), after, fails, state_limit)
-    failed = fails(state, number)
-    accepted = np.array([memory.accepts(kept) for kept in numbers], dtype=np.bool_)[number]
-    goal = model.goal_mask[state] & ~failed & accepted
+    failed, kept = fails(state, number), [*numbers]
+    refused = model.goal_mask[state] & ~failed
+    goal = np.zeros_like(refused)
+    goal[refused] = [bool(memory.accepts(kept[k])) for k in number[refused].tolist()]
+    refused &= ~goal
     if not goal.any():
         raise ModelError("no goal that the memory accepts can be reached from the start")
-    refused = model.goal_mask[state] & ~failed & ~accepted
     return ProductSSP(
         **fields,
         states=ProductStates(names, tuple(numbers), read_only(state), read_only(number)),
@@ -389,32 +394,35 @@ def unfold(
     is_over: Callable[[IntArray, IntArray], BoolArray],
     state_limit: int = MOST_PLACES,
 ) -> tuple[IntArray, IntArray, dict[str, Any]]:
-    """Return the states (state, memory) that episodes may reach, and the fields that follow.
+    """Explore the states (state, memory) of a product breadth-first, with their pairs.
 
-    States are found in rounds, those of a round in the order of memories and then of states.
+    Each round finds the states one step further, in the order of their memories, then of their
+    states in the model.
 
     Args:
         model: the model.
         begin: states in which episodes may begin, and the numbers of their memories.
-        after: numbers of the memories after outcomes, from those before and the outcomes,
-            [entries].
-        is_over: whether episodes end in states with memories, goals or not, [entries]; without
-            it they end where the model has no actions.
-        state_limit: greatest number of states.
+        after: function of the numbers of memories and of outcomes that returns the numbers of the
+            memories after these outcomes, [entries] each.
+        is_over: function of states and numbers of memories that says where an episode ends, even
+            though the model has actions there, [entries] each.
+        state_limit: greatest number of states of the product.
 
     Returns:
-        State of the model and number of the memory of each state, [states] each; and the fields
-        of the product but for ``states``, ``goal_mask`` and ``state_labels``.
+        The model's state and the number of the memory of each state of the product, [states] each;
+        and the product's fields except ``states``, ``goal_mask`` and ``state_labels``.
 
     Raises:
-        ModelError: more states than the limit, or than ``MOST_PLACES`` states times memories.
+        ModelError: the product has more states than the limit, or the model's states times the
+            memories are more than ``MOST_PLACES``.
     """
-    n, counts = model.n_states, np.diff(model.pair_offsets)
-    possible = np.flatnonzero(model.probabilities > 0.0)
-    offsets = np.searchsorted(possible, model.outcome_offsets)
+    n, possible = model.n_states, np.flatnonzero(model.probabilities > 0.0)
+    offsets = np.searchsorted(possible, model.outcome_offsets)  # [pairs + 1] in ``possible``
+    first, widths = offsets[model.pair_offsets[:-1]], np.diff(offsets[model.pair_offsets])
     new, n_found = sorted_unique(begin[1] * n + begin[0]).astype(np.int32), 0
-    rounds = list[tuple[IntArray, ...]]()
-    places = np.full(max(n, int(new.max(initial=0)) + 1), -1, dtype=np.int32)  # by memory and state
+    rounds = list[tuple[Any, ...]]()
+    # place in the product of the state with memory m and state s of the model: places[m * n + s]
+    places = np.full(max(n, int(new.max(initial=0)) + 1), -1, dtype=np.int32)
     while new.size or not rounds:
         check_time()
         places[new] = np.arange(n_found, n_found + new.size)
@@ -423,26 +431,26 @@ def unfold(
             told = f"more than state_limit={state_limit:,} states are reachable"
             raise ModelError(f"{told}; raise the limit or bound the memory")
         number, state = np.divmod(new, n)
-        actions = np.where(is_over(state, number), 0, counts[state])
-        pairs = concatenated_ranges(model.pair_offsets[state], actions)
-        entries, ends = entries_of(offsets, pairs)
-        outcomes = entries if possible.size == model.n_outcomes else possible[entries]
-        moved = after(np.repeat(np.repeat(number, actions), ends), outcomes)
+        goes_on = ~is_over(state, number)
+        width = widths[state] * goes_on
+        outcomes = possible[concatenated_ranges(first[state], width)]
+        moved = after(np.repeat(number, width), outcomes)
         if (room := (int(moved.max(initial=0)) + 1) * n) > MOST_PLACES:
             raise ModelError(f"{room // n:,} memories on {n:,} states are too many")
         target = moved.astype(np.int32, copy=False) * np.int32(n) + model.successors[outcomes]
-        rounds.append((state, number, actions, pairs, ends, outcomes, target))
+        rounds.append((state, number, goes_on, outcomes, target))
         if room > places.size:
             more = np.full(max(room, 2 * places.size) - places.size, -1, dtype=np.int32)
             places = np.concatenate([places, more])
         new = target[places[target] < 0]
         places[new] = np.arange(new.size)
-        new = np.sort(new[places[new] == np.arange(new.size)])  # each of them once
-    joined = map(np.concatenate, zip(*rounds, strict=True))
-    state, number, actions, pairs, ends, outcomes, target = joined
+        new = np.sort(new[places[new] == np.arange(new.size)])  # keep one of equal entries
+    state, number, goes_on, outcomes, target = map(np.concatenate, zip(*rounds, strict=True))
+    actions = np.diff(model.pair_offsets)[state] * goes_on
+    pairs = concatenated_ranges(model.pair_offsets[state], actions)
     fields = copied_parts(model, pairs, outcomes) | {
         "pair_offsets": read_only(offsets_of(actions)),
-        "outcome_offsets": read_only(offsets_of(ends)),
+        "outcome_offsets": read_only(offsets_of(np.diff(offsets)[pairs])),
         "successors": read_only(places[target]),
     }
     return state.astype(np.int64), number, fields
@@ -598,9 +606,7 @@ def unroll_steps(
     if survive is None:  # label states from which the goal is too many steps away
         nearer, needed = goal_approach(model)
         needed = np.where((nearer >= 0) | model.goal_mask, needed, steps + 1)
-        late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - np.minimum(
-            count, steps
-        )
+        late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - count
     lost = np.concatenate([[], *(model.state_labels[name] for name in survive or ())])
     survived = over & ~np.isin(state, lost) & (survive is not None)
     number = read_only(count, least_integer_type(steps + 1))

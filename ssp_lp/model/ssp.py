@@ -465,14 +465,14 @@ class SSP(Graph, ReadOnlyCopies):
         if not tally:
             raise ModelError("the table has no rows")
         rows, counts = list[tuple[Any, ...]](), list[int]()
-        for here, name, seen in ((s, a, seen) for s in tally for a, seen in tally[s].items()):
-            total = seen.total()
-            if not total and here not in goals:
-                raise ModelError(f"action {name!r} of state {here!r} has no counts: leave it out")
-            rows += [
-                (here, name, there, n / max(total, 1), *paid) for (there, *paid), n in seen.items()
-            ]
-            counts += [] if here in goals else seen.values()  # rows of goals are ignored
+        for here, actions in tally.items():
+            for name, seen in actions.items():
+                if not (total := seen.total()) and here not in goals:
+                    told = f"action {name!r} of state {here!r} has no counts"
+                    raise ModelError(f"{told}: leave it out")
+                for (there, *paid), n in seen.items():
+                    rows.append((here, name, there, n / max(total, 1), *paid))
+                counts += [] if here in goals else seen.values()  # actions of goals are ignored
         options = {"state_labels": state_labels, "dead_ends": dead_ends}
         model = cls._from_rows(rows, goals, cost, options)
         return replace(model, counts=read_only(counts, np.float64))
@@ -682,7 +682,7 @@ class SSP(Graph, ReadOnlyCopies):
 
     @explained
     def with_dead_ends(self, dead_ends: DeadEnds | None) -> Self:
-        """Return the same model after checking that it has no other dead-ends than these.
+        """Return the same model, after a check that it has no dead-ends but the given ones.
 
         Args:
             dead_ends: states from which no action reaches the goal, or labels of states, or a
@@ -722,11 +722,11 @@ class SSP(Graph, ReadOnlyCopies):
 
     @cached_property
     def _index(self) -> Mapping[Hashable, int]:
-        """Indices of the model's states by their labels."""
+        """Indices of states by their labels."""
         return {label: i for i, label in enumerate(self.states)}
 
     def index_of(self, state: Hashable, place: str = "") -> int:
-        """Return the index of the model's state with this label.
+        """Return the index of the state with a label.
 
         Args:
             state: the label.
@@ -742,7 +742,7 @@ class SSP(Graph, ReadOnlyCopies):
         return index
 
     def find(self, state: Hashable) -> int | None:
-        """Return the index of the model's state with this label, or None."""
+        """Return the index of the state with a label, or None."""
         if isinstance(self.states, range):
             is_index = isinstance(state, (int, np.integer)) and state in self.states
             return int(cast("int", state)) if is_index else None
@@ -752,13 +752,13 @@ class SSP(Graph, ReadOnlyCopies):
             return None
 
     def hint(self, state: Hashable) -> str:
-        """Return a clause for the error about an unknown state of a model."""
+        """Return a clause for the error about an unknown state."""
         if isinstance(self.states, range):
             return f": states are 0 .. {len(self.states) - 1}"
         return did_you_mean(state, self.states, "its states:")
 
     def places_of(self, state: Hashable) -> IntArray:
-        """Return all states of the model that a label stands for: one, in a product several.
+        """Return all states that a label stands for: one, in a product several.
 
         Raises:
             ModelError: no state has the label.
@@ -766,7 +766,7 @@ class SSP(Graph, ReadOnlyCopies):
         return np.array([self.index_of(state)])
 
     def action_of(self, pair: int) -> Hashable:
-        """Return the label of the action of a model's pair; :class:`ModelError` if unknown."""
+        """Return the label of the action of a pair; :class:`ModelError` for an unknown pair."""
         try:
             return self.action_names[int(self.pair_action[pair])]
         except (IndexError, TypeError) as error:
@@ -774,11 +774,11 @@ class SSP(Graph, ReadOnlyCopies):
             raise ModelError(f"{pair!r} is not a pair: they are 0 .. {last}") from error
 
     def pairs_of(self, state: int) -> range:
-        """Return the model's pairs of a state."""
+        """Return the pairs of a state."""
         return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
 
     def pair_of(self, state: int, action: Hashable) -> int:
-        """Return the model's pair of a state and an action's label.
+        """Return the pair of a state and an action's label.
 
         Raises:
             ModelError: the state does not have the action.
@@ -794,12 +794,12 @@ class SSP(Graph, ReadOnlyCopies):
         return f"state {self.states[state]!r} has no action {action!r}{nearest}"
 
     def describe_pair(self, pair: int) -> str:
-        """Return a pair of the model in words: "action 'go' of state 'start'"."""
+        """Return a pair in words: "action 'go' of state 'start'"."""
         state = int(np.searchsorted(self.pair_offsets, pair, side="right")) - 1
         return f"action {self.action_of(pair)!r} of state {self.states[state]!r}"
 
     def _describe_outcome(self, outcome: int) -> str:
-        """Return the pair of an outcome of the model in words, for an error."""
+        """Return the pair of an outcome in words, for an error."""
         pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
         return self.describe_pair(pair)
 
@@ -825,7 +825,7 @@ class SSP(Graph, ReadOnlyCopies):
 
     @property
     def _sizes(self) -> dict[str, int]:
-        """Sizes of the model: states, pairs, outcomes and the rest."""
+        """Numbers of states, pairs, outcomes and goals."""
         return {
             "states": len(self.pair_offsets) - 1,
             "pairs": len(self.outcome_offsets) - 1,
@@ -839,7 +839,7 @@ class SSP(Graph, ReadOnlyCopies):
         return f"{type(self).__name__}({sizes})"
 
     def _repr_html_(self) -> str:
-        """Return the model's sizes as a table, for notebooks."""
+        """Return the sizes as a table, for notebooks."""
         return Table([*self._sizes.items()], title=type(self).__name__).html()
 
     @cached_property
@@ -860,7 +860,7 @@ class ImplicitSSP(SSP):
     """A model given by its successor function (:meth:`SSP.implicit`).
 
     Its states are unknown before it is solved: functions that need its arrays raise
-    :class:`_NotExploredError`.
+    :class:`ModelError`.
     """
 
     parameters: Mapping[str, PlacedParameter] = MappingProxyType({})
@@ -882,10 +882,10 @@ class ImplicitSSP(SSP):
         self.is_vectorised = is_vectorised
 
     def __getattr__(self, name: str) -> Any:
-        """Reject attributes that need every state of the model.
+        """Reject an attribute that needs every state of the model.
 
         Raises:
-            _NotExploredError: always.
+            ModelError: always.
         """
         raise _NotExploredError(
             f"an implicit model has no {name!r} before it is explored: take "
@@ -903,7 +903,7 @@ class ImplicitSSP(SSP):
 
     @property
     def assumption(self) -> str:
-        """Assumption of every answer about the model, in words; empty without bounds."""
+        """Assumption on which every answer rests, in words; empty without bounds."""
         words = ("no policy reaches the goal for less than cost_bound, given that it does",
                  "no policy fails less than failure_bound")  # fmt: skip
         given = zip(words, self.bounds, strict=True)
@@ -1059,7 +1059,7 @@ class FlatModel:
 
 
 def csv_columns(path: str | PathLike[str]) -> dict[str, list[str | None]]:
-    """Return the columns of a model's CSV file by the names in its first row; None: empty cell.
+    """Return the columns of a CSV file by the names in its first row; an empty cell is None.
 
     Raises:
         ModelError: the file is not a text, or has no rows.
@@ -1077,7 +1077,7 @@ def csv_columns(path: str | PathLike[str]) -> dict[str, list[str | None]]:
 
 
 def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> float | Fraction | None:
-    """Return the number in a cell of a model's CSV file, as a fraction if it is written as one."""
+    """Return the number in a cell of a CSV file, as a fraction if it is written as one."""
     try:
         return cell if cell is None else Fraction(cell) if "/" in cell else float(cell)
     except (ValueError, ZeroDivisionError) as error:
@@ -1100,7 +1100,7 @@ def _rows_of(table: Any, names: Iterable[str | Sequence[str]]) -> Iterator[tuple
 
 
 def _column(table: Any, name: str | Sequence[str]) -> list[Any]:
-    """Return a column of a table as Python's own values; of several columns, tuples.
+    """Return a column of a table as values of Python; for several columns, as tuples.
 
     Raises:
         ModelError: the column does not exist, or a cell is empty.

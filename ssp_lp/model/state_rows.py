@@ -1,13 +1,14 @@
-"""Blocks of consecutive states of a model, as arrays that a function returns for their numbers."""
+"""Blocks of pairs and of consecutive states of a model, as flat arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from ssp_lp.arrays import FloatArray, IntArray, entries_of, offsets_of
 from ssp_lp.errors import ModelError, in_short
 
 
@@ -20,6 +21,34 @@ class StateRows(NamedTuple):
     probabilities: npt.ArrayLike  # [their outcomes]
     costs: npt.ArrayLike  # one number for all, or [their pairs], or [their outcomes]
     named_costs: Mapping[str, npt.ArrayLike] = {}  # further costs by name, each as ``costs``
+
+
+class Outcomes(NamedTuple):
+    """The outcomes of some pairs, in their order, as checked arrays."""
+
+    lengths: IntArray  # [pairs] number of outcomes of each
+    successors: IntArray  # [outcomes]
+    probabilities: FloatArray  # [outcomes]
+    costs: FloatArray  # one number for all, or [outcomes], or [outcomes, costs]
+
+    def rows(self, wanted: IntArray) -> Outcomes:
+        """Return the outcomes of the pairs at some positions, in the order of the positions."""
+        places, lengths = entries_of(offsets_of(self.lengths), wanted)
+        costs = self.costs[places] if self.costs.ndim else self.costs
+        return Outcomes(lengths, self.successors[places], self.probabilities[places], costs)
+
+
+def joined_outcomes(parts: Sequence[Outcomes]) -> Outcomes:
+    """Concatenate outcomes of several blocks of pairs; costs that are all equal stay one number."""
+    costs = [rows.costs for rows in parts] or [np.asarray(0.0)]
+    if any(each.ndim or each != costs[0] for each in costs):
+        shapes = (rows.successors.shape for rows in parts)
+        costs = [c if c.ndim else np.broadcast_to(c, n) for c, n in zip(costs, shapes, strict=True)]
+    paid = np.concatenate(costs) if costs[0].ndim else costs[0]
+    empty = Outcomes(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0), paid)
+    *arrays, _ = zip(empty, *parts, strict=True)
+    lengths, successors, chances = map(np.concatenate, arrays)
+    return Outcomes(lengths, successors, chances, paid)
 
 
 Rows = Callable[[int, int], StateRows]

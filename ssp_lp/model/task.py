@@ -116,7 +116,7 @@ class _Reader:
 
 
 def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
-    """Return a formula with negations at names only, by not X f = N not f and the like."""
+    """Return an equal formula with negations at names only: not X f becomes N not f, and so on."""
     kind, *parts = formula
     if kind == "not":
         return _negated_at_names(parts[0], negated=not negated)
@@ -129,7 +129,7 @@ def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
 
 
 def _simplest(alternatives: Iterable[frozenset[Formula]]) -> Obligation:
-    """Return the alternatives that contain no other one, so that equal obligations look equal."""
+    """Return the alternatives that contain no other one, so that equal obligations are equal."""
     every = frozenset(alternatives)
     return frozenset(a for a in every if not any(b < a for b in every))
 
@@ -252,13 +252,14 @@ class Task:
         return tuple(found)
 
     def seen(self, model: SSP) -> tuple[IntArray, IntArray]:
-        """Return the names that hold, as sums of powers of two in the order of ``names``.
+        """Return the sets of names that hold, as sums of powers of two in the order of ``names``.
 
         Args:
             model: the model.
 
         Returns:
-            Labels of each state, [states], and these with the action, [pairs].
+            The named labels of each state, [states]; and for each pair the named labels of its
+            state together with its action, if that is named, [pairs].
 
         Raises:
             ModelError: a name that is both a label and an action, or neither; or too many names.
@@ -310,7 +311,8 @@ class Task:
         """Return the automaton, and whether a trace that ends in a state satisfies the task.
 
         Returns:
-            The automaton, and [values, states].
+            The automaton; and whether the trace satisfies the task if it ends with a value in a
+            state, [values, states].
         """
         of_states, of_pairs = self.seen(model)
         distinct, by_pair = np.unique(of_pairs, return_inverse=True)

@@ -116,7 +116,7 @@ class TrackedSSP(ProductSSP):
 
 
 def followed_in(model: SSP, follows: object) -> tuple[TrackedSSP, IntArray] | None:
-    """Return the product with this automaton among those that a model is made of, or None.
+    """Return the product with the automaton of a limit, among the products of a model, or None.
 
     Args:
         model: a product of products.

@@ -48,7 +48,12 @@ class BoxedChain:
         return len(np.unique(first)) == len(first)
 
     def at(self, chosen: FloatArray, inside: BoolArray) -> Chain:
-        """Return the chain with chosen probabilities, [moves] and moves out of some nodes."""
+        """Return the chain at chosen probabilities, with the moves out of some nodes only.
+
+        Args:
+            chosen: probabilities within the boxes, [moves].
+            inside: the nodes, [nodes].
+        """
         chain = self.chain
         used = (chosen > 0.0) & inside[chain.source]
         return replace(
@@ -61,7 +66,7 @@ class BoxedChain:
         )
 
     def staying(self, inside: BoolArray) -> BoolArray:
-        """Return the greatest subset of nodes that nature can stay in for ever, [nodes].
+        """Return the greatest subset of nodes in which nature can stay for ever, [nodes].
 
         Nodes without moves are never left.
         """
@@ -71,7 +76,11 @@ class BoxedChain:
         return kept
 
     def _keeping(self, within: BoolArray) -> BoolArray:
-        """Return the nodes at which nature can choose moves of a set with certainty, [nodes]."""
+        """Return the nodes at which nature can surely choose one of some moves, [nodes].
+
+        Args:
+            within: the moves, [moves].
+        """
         leaving = forced(self.low, self.high, ~within, self.offsets)
         keeping = np.ones(self.chain.n_nodes, dtype=np.bool_)
         keeping[self.chain.source[self.offsets[:-1][leaving]]] = False

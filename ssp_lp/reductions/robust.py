@@ -24,6 +24,7 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    expected,
     first_minimisers,
     read_only,
     segment_ids,
@@ -41,7 +42,9 @@ from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp
 from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
 
-_BESIDE = LEAST_BUDGET  # share of a step into the boxes: it changes failure by as much
+_BESIDE = LEAST_BUDGET
+"""Length of the step from the worst probabilities into the boxes, as a share of the whole way; it
+changes the failure probability by about as much."""
 
 
 def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
@@ -64,10 +67,10 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
         OutOfTimeError: the time limit passed before it converged.
     """
     began, boxes, semantics = time.perf_counter(), problem.box, problem.semantics
-    start, goal = problem.start_mass, problem.model.goal_mask
+    start = problem.start_mass
     with limited(time_limit, "the worst probabilities were settled"):
-        losing = _losing(boxes, goal)[0] if semantics.forbids_failing else None
-        if losing is not None and (lost := (start > 0.0) & (losing > 0)).any():
+        loss, decision, worst, rounds = settled(boxes, semantics)
+        if (lost := (start > 0.0) & np.isinf(loss)).any():
             state = problem.model.states[int(np.argmax(lost))]
             raise InfeasibleError(
                 f"no policy reaches the goal surely from state {state!r} at all probabilities in "
@@ -77,7 +80,6 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
                     start @ settled(boxes, FailureSemantics(aim=Aim.GREATEST_GOAL))[0]
                 ),
             )
-        loss, decision, worst, rounds = settled(boxes, semantics)
     stated = problem.with_arguments(box=None)
 
     def solve_in_time(at_worst: Any) -> Solution:
@@ -90,10 +92,11 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
     solution = solved_at(stated, boxes, worst, solve_in_time)
     at_worst: Any = solution.problem
     model = at_worst.model
-    policy, value = as_lottery(DeterministicPolicy(model, decision)), float(start @ loss)
+    policy, value = as_lottery(DeterministicPolicy(model, decision)), float(expected(start, loss))
     maximised = solution.upper_bound is not None
     if not (maximised or semantics.forbids_failing):
-        # free actions that nature may repeat for ever, which no change of one decision leads to
+        # Free actions may be repeated for ever, which no change of a single decision leads to:
+        # the policy of the ordinary problem may take them.
         ends, own = ending(boxes, semantics)[0], as_lottery(solution.policy).policies[0]
         other = as_lottery(DeterministicPolicy(model, completed(own, decision, ends)))
         if (better := worst_case(other, stated, boxes).objective) < value - LEAST_BUDGET * value:
@@ -180,8 +183,9 @@ def settled(
     such a policy, and cycles of cost 0 are never entered.
 
     Returns:
-        Least worst loss of each state (cost and penalty, or the failure probability), [states]; the
-        robust decisions, [states]; nature's probabilities, [outcomes]; and the number of rounds.
+        Least worst loss of each state (cost and penalty, or the failure probability), infinite if
+        failing is forbidden and cannot be avoided, [states]; the robust decisions, [states];
+        nature's probabilities, [outcomes]; and the number of rounds.
     """
     model, only_failing = boxes.support, semantics.aim is Aim.GREATEST_GOAL
     acting = ~(model.goal_mask | dead_ends(model))
@@ -216,6 +220,7 @@ def settled(
         known = loss[acting].max(initial=0.0)
         better = acting & (least < loss - IMPROVEMENT * known)
         if not better.any() and known < top:
+            loss[rank > 0] = np.inf
             return loss, decision, worst, rounds
         top = 2.0 * known + float(reward.max(initial=0.0)) + 1.0  # above all that can be paid
         best = np.full(model.n_states, UNDECIDED, dtype=np.int64)

@@ -144,6 +144,18 @@ def in_ranges(world, points, size):
     return [np.concatenate(actions), *arrays, np.broadcast_to(paid, arrays[1].shape)]
 
 
+def test_joined_pieces_keep_their_own_costs():
+    robot = continuous_robot(RobotGrid(segments=4, headings=4, quadrature=2, wall_cost=5.0))
+    goal = robot.end_state("goal")
+    cells = building.discretised_rows(robot, Quadrature(2), 0, goal)[1]
+    ends = building.discretised_rows(robot, Quadrature(2), goal, robot.n_states)[1]
+    assert cells.costs.shape == ()  # one number for all outcomes
+    assert 5.0 in ends.costs
+    joined = building.joined_outcomes([cells, ends]).costs
+    assert joined[: len(cells.successors)].tolist() == [1.0] * len(cells.successors)
+    assert joined[len(cells.successors) :].tolist() == ends.costs.tolist()
+
+
 @pytest.mark.parametrize("size", [1, 7, 1000])
 def test_rows_of_ranges_of_states_are_those_of_the_model(size):
     robot = continuous_robot(RobotGrid(segments=4, headings=4, quadrature=2, wall_cost=5.0))
