@@ -165,7 +165,6 @@ class Simulator(Protocol):
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
         """Start episodes; return their worlds, [episodes, ...], and states, [episodes]."""
-        ...
 
     def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
         """Take one step in each of k simulated episodes.
@@ -177,7 +176,6 @@ class Simulator(Protocol):
         Returns:
             The worlds, the model's states there, and the costs, [k] each.
         """
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -238,7 +238,7 @@ def policy_chain(
     while frontier.size:
         check_time()
         if len(waves) == turn and size is not None and size * model.n_pairs <= _FEW_NODES:
-            visited = _with_room(visited, size * model.n_states)
+            visited = np.pad(visited, (0, max(size * model.n_states - visited.size, 0)))
             frontier = _reachable_nodes(model, policy, frontier, ended, size)
             frontier = frontier[~visited[frontier]]
         reached += frontier.size
@@ -250,7 +250,7 @@ def policy_chain(
         if (last := max(int(frontier[-1]), int(step[1].max(initial=0)))) >= _MOST_KEYS:
             raise ModelError("the policy's chain is too large: its memory grows without end")
         if last >= visited.size:
-            visited = _with_room(visited, max(last + 1, 2 * visited.size))
+            visited = np.pad(visited, (0, max(last + 1 - visited.size, visited.size)))
         visited[frontier] = True
         frontier = sorted_unique(step[1][~visited[step[1]]])
 
@@ -282,11 +282,6 @@ def policy_chain(
         branch_pair=pair,
         branch_probability=weight,
     )
-
-
-def _with_room(visited: BoolArray, size: int) -> BoolArray:
-    """Return marks of visited keys, extended to at least this size."""
-    return np.append(visited, np.zeros(max(size - visited.size, 0), dtype=np.bool_))
 
 
 def _reachable_nodes(

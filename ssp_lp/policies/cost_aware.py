@@ -42,10 +42,10 @@ class CostAwarePolicy(Policy):
     If it ``rounds_up``, a step passes the next whole number of layers: the cost paid is at most
     that of the memory, so that a law of rounded costs never overstates success.
 
-    ``levels`` are totals that replace the layers, the last of them the cap: after a step memory is
-    the level nearest to the last one plus the step's cost, so that any observed cost is accepted.
-    If the levels are all sums that can occur, this is the cost paid; on a grid, it is rounded at
-    every step. Thresholds are then totals.
+    ``levels`` replace the layers by given totals, the last of which is the cap. After a step the
+    memory is the level nearest to the sum of the previous level and the step's cost, so that any
+    observed cost is accepted. If the levels are all the sums that can occur, the level is the cost
+    paid; on a grid, the cost is rounded at every step. Thresholds are then totals.
 
     Raises:
         ModelError: levels that do not rise from 0, or are not one more than the layers.

@@ -389,7 +389,9 @@ def check_policies(policies: Sequence[Any], parts: str) -> None:
     """Raise :class:`ModelError` unless all parts are policies on one model."""
     for one in policies:
         if not isinstance(one, Policy):
-            raise ModelError(f"a policy is needed, such as solution.policy, not {in_short(one)}")
+            raise ModelError(
+                f"a policy is needed, not {in_short(one)}: pass solution.policy, or your own"
+            )
         if one.model is not policies[0].model:
             raise ModelError(f"the {parts} must act on one model")
 

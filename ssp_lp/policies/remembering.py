@@ -348,8 +348,8 @@ class RememberingPolicy(_Carried):
 class LabelledPolicy(_Carried):
     """A policy of (state, label of failing) that acts on states, also after failing.
 
-    It gives up together with an action, with the memory "giving up"; in a dead-end, it goes on if
-    its problem counts quantities there. The digit is the label.
+    Giving up comes with an action, and is remembered as "giving up". In a dead-end the policy goes
+    on if its problem counts quantities there. The digit is the label.
     """
 
     inner: Policy  # on the product with the label

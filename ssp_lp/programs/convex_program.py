@@ -248,7 +248,7 @@ class ConvexProgram:
         if program.process.transitions is not self.program.process.transitions:  # rebuilt
             if not as_stated:
                 raise ModelError(BOUND_TO_START)
-            vars(self).update(vars(ConvexProgram(program)))
+            ConvexProgram.__init__(self, program)
         self.start.value = program.process.start
         if objective is not None:
             self.cost.value, self._constant.value = self.program.expression(objective)
