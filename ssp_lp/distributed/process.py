@@ -51,7 +51,7 @@ _SAME = 1e-13  # equal failures, relative to the rarer of failure and success
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OwnDecisions(Policy):
+class _OwnDecisions(Policy):
     """A policy of a partitioned model: decisions in a rank's own states."""
 
     model: Part
@@ -457,7 +457,7 @@ class PartitionedProcess(PricingProblem):
     def pulled_back(self, column: Column) -> Policy:
         """Return the decisions of a column in the rank's own states of the model."""
         part: Any = self.labelled.quotient.model
-        return OwnDecisions(part, self._positions(column), column.figures)
+        return _OwnDecisions(part, self._positions(column), column.figures)
 
     def _positions(self, column: Column) -> IntArray:
         """Return a column's decisions in the own states, as positions among actions or codes."""
