@@ -41,8 +41,8 @@ M, which an interior point solves in seconds, and one to two million in case S, 
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """A solution, and its policy evaluated on the model."""
+class EvaluatedSolution:
+    """A solution, with its policy evaluated on the model."""
 
     solution: Solution
     evaluation: Evaluation
@@ -59,7 +59,7 @@ class MethodResult:
     """Result of one method in a cross-check: an answer, or a note that says why there is none."""
 
     name: str
-    answer: Answer | None = None
+    answer: EvaluatedSolution | None = None
     note: str = ""
     error: SSPError | None = None  # the error in which the method ended
     seconds: float | None = None
@@ -99,7 +99,7 @@ def result_of(name: str, solution: Solution) -> MethodResult:
             cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
         members.append((weight, cost, failure))
     note = "; ".join(part for part in (solution.note, solution.run.program) if part)
-    answer = Answer(solution, evaluation, np.array(members))
+    answer = EvaluatedSolution(solution, evaluation, np.array(members))
     return MethodResult(name, answer, note, seconds=solution.seconds)
 
 
@@ -387,7 +387,7 @@ def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) ->
 
 
 def _mutual_objections(
-    answers: Mapping[str, Answer], agree: Callable[[float, float], bool]
+    answers: Mapping[str, EvaluatedSolution], agree: Callable[[float, float], bool]
 ) -> dict[str, str]:
     """Return objections to methods outside the majority, or with a bound above a known value.
 
