@@ -171,7 +171,7 @@ class _Equations:
         return missed / max(*scale, 1e-300), residual, max(scale)
 
     def runs(self, guess: FloatArray) -> FloatArray:
-        """Return run lengths, twice of which bound the expected steps from above, [own nodes].
+        """Return run lengths; twice a run length bounds the expected steps from above, [own nodes].
 
         Raises:
             SolverError: some nodes are never left, or no solver reaches the accuracy.
@@ -342,9 +342,9 @@ class PartitionedProcess(PricingProblem):
     def _giving_up(self, equations: _Equations) -> IntArray:
         """Return the policy with giving up where it has failed, [own nodes].
 
-        It has failed where it can no longer reach the goal by its own decisions and may give up. If
-        other ends count, or giving up is not allowed, it has failed only where it stays for ever
-        and nothing is counted.
+        The policy has failed in nodes where giving up is allowed and its own decisions no longer
+        lead to the goal. If other ends count, or the criterion forbids giving up, the policy has
+        failed only in nodes where it stays for ever and collects no reward.
         """
         choice = equations.choice
         leads = self.labelled.process.goal[choice] > 0.0

@@ -427,7 +427,7 @@ class Player:
     def _first_cap(self, weights: FloatArray) -> float:
         """Return the first M: the total after which it is best to fail, if that is not too large.
 
-        Otherwise it is a small number of steps at the greatest cost, which grows soon.
+        Otherwise the first M is a few steps of the greatest cost, and M grows soon.
         """
         base, cap = self.base, _FIRST_LAYERS * self.dearest
         if weights[0] == 0.0:

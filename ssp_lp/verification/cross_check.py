@@ -1,7 +1,7 @@
 """Cross-checks: a problem solved by the linear program, column generation and the paper's game.
 
-The methods share one reading of the model: dead-ends, attention states, charges of failing and
-states where wandering is free. ``ssp_lp.verification.expand`` recomputes it in fractions.
+The methods read the model by the same code: dead-ends, attention states, charges of failing and
+states where wandering is free. ``ssp_lp.verification.expand`` recomputes all of these in fractions.
 """
 
 from __future__ import annotations
@@ -256,8 +256,8 @@ def cross_check(
 ) -> CrossCheck:
     """Cross-check a problem: solve it by every method, and compare the results.
 
-    The methods share one reading of the model, which is compared with a second one by the plain
-    loops of the certificates' checker (:class:`SecondReading`).
+    All methods read the model by the same code. The plain loops of the certificates' checker read
+    the model a second time, and both readings are compared (:class:`SecondReading`).
 
     Args:
         problem: a formulation, such as ``MCMP(...)`` or ``S3P(...)``.
@@ -439,7 +439,7 @@ def second_reading(problem: Problem) -> SecondReading | None:
     faults: list[str] = []
 
     def compare(part: str, ours: BoolArray, theirs: set[int]) -> int:
-        """Count the states of a kind, and note one that is of it in one reading only."""
+        """Count the states of a kind, and note the first state on which the readings differ."""
         told = nobody.copy()
         told[sorted(theirs)] = True
         for x in np.flatnonzero(told != ours)[:1].tolist():

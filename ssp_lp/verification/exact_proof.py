@@ -1,11 +1,12 @@
 """Proofs of a certificate's programs: exact bounds and lotteries by column generation.
 
 This module need not be trusted, as ``prove.py`` checks its results. Numbers are whole multiples of
-1 / ``ONE``, called units. Values at prices come from policy iteration; its equations are solved by
-a factorisation in working precision, refined until they hold up to some units. The values are then
-lowered by a tiny share of the longest run among optimal columns, so that every inequality holds
-with room for the digits that are left out. An upper bound of a member's quantity is a lower bound
-with the opposite sign. The master program over the members is solved in fractions.
+1 / ``ONE``, called units. Values at prices come from policy iteration, which starts from a policy
+that is optimal in working precision. Its equations are solved by a factorisation in working
+precision, refined until they hold up to some units. The values are then lowered by a tiny share of
+the longest run among optimal columns, so that every inequality holds with room for the digits that
+are left out. An upper bound of a member's quantity is a lower bound with the opposite sign. The
+master program over the members is solved in fractions.
 """
 
 from __future__ import annotations
