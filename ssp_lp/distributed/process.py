@@ -67,10 +67,6 @@ class _OwnDecisions(Policy):
         raise ModelError("a rank has its own decisions only: use PartitionedPolicy.on(model)")
 
 
-def _kept_nowhere(positions: IntArray, weights: FloatArray) -> None:
-    """Discard a column."""
-
-
 class _Equations:
     """Equations ``x = right + rows @ x`` of a policy, solved by all ranks together."""
 
@@ -220,7 +216,7 @@ class PartitionedProcess(PricingProblem):
     start: FloatArray  # [own nodes]
     asks_for_ends: bool  # whether ends other than the goal count, or giving up is not allowed
     stays: IntArray  # [own nodes] a free pair that stays for ever, in place of giving up; -1: none
-    kept: Callable[[IntArray, FloatArray], None] = _kept_nowhere  # called with each new column
+    kept: Callable[[IntArray, FloatArray], None] | None = None  # called with each new column
     earlier: list[Column] = field(default_factory=list)  # columns of an earlier run
 
     @property
@@ -299,7 +295,8 @@ class PartitionedProcess(PricingProblem):
             equations.clear()
             equations = self._leaving_equations(choice, values)
         column = self._measured(equations, totals, work)
-        self.kept(self._positions(column), weights)
+        if self.kept is not None:
+            self.kept(self._positions(column), weights)
         return column
 
     def _weights(self, price: float | FloatArray) -> FloatArray:
