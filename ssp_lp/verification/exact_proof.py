@@ -290,7 +290,30 @@ def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[
     share = max(lost * ONE // (4 * (ONE - min(steps))), 8)
     grid = 10 ** (len(str(share // 4)) - 1)
     lowered = [(v + share * n // ONE) // grid * grid for v, n in zip(values, steps, strict=True)]
-    return choice, lowered
+    return choice, _ended_exactly(ways, lowered, 2 * lost)
+
+
+def _ended_exactly(ways: Sequence[_Way], values: list[int], room: int) -> list[int]:
+    """Raise values to the cost of ending at once, if the increase is at most ``room``.
+
+    If failure is not limited, a ratio needs the value of failing surely to the last digit.
+    """
+    ends = dict[int, int]()
+    for way in ways:
+        if not way.outcomes:
+            end = way.own // way.total
+            ends[way.node] = min(ends.get(way.node, end), end)
+    ends = {i: end for i, end in ends.items() if 0 < end - values[i] <= room}
+    while ends:
+        raised = [ends.get(i, value) for i, value in enumerate(values)]
+        wrong = {
+            way.node for way in ways if way.node in ends and
+            raised[way.node] * way.total > way.own + sum(a * raised[j] for a, j in way.outcomes)
+        }  # fmt: skip
+        if not wrong:
+            return raised
+        ends = {i: end for i, end in ends.items() if i not in wrong}
+    return values
 
 
 def best_values(
