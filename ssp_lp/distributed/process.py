@@ -59,7 +59,7 @@ _SAME = 1e-13  # equal failures, relative to the rarer of failure and success
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OwnDecisions(Policy):
+class _OwnDecisions(Policy):
     """A policy of a partitioned model: decisions in a rank's own states."""
 
     model: Part
@@ -73,10 +73,6 @@ class OwnDecisions(Policy):
             ModelError: always.
         """
         raise ModelError("a rank has its own decisions only: use PartitionedPolicy.on(model)")
-
-
-def _kept_nowhere(positions: IntArray, weights: FloatArray) -> None:
-    """Discard a column."""
 
 
 class _Equations:
@@ -179,7 +175,7 @@ class _Equations:
         return missed / max(*scale, 1e-300), residual, max(scale)
 
     def runs(self, guess: FloatArray) -> FloatArray:
-        """Return run lengths, twice of which bound the expected steps from above, [own nodes].
+        """Return run lengths; twice a run length bounds the expected steps from above, [own nodes].
 
         Raises:
             SolverError: some nodes are never left, or no solver reaches the accuracy.
@@ -228,7 +224,7 @@ class PartitionedProcess(PricingProblem):
     start: FloatArray  # [own nodes]
     asks_for_ends: bool  # whether ends other than the goal count, or giving up is not allowed
     stays: IntArray  # [own nodes] a free pair that stays for ever, in place of giving up; -1: none
-    kept: Callable[[IntArray, FloatArray], None] = _kept_nowhere  # called with each new column
+    kept: Callable[[IntArray, FloatArray], None] | None = None  # called with each new column
     earlier: list[Column] = field(default_factory=list)  # columns of an earlier run
 
     @property
@@ -307,7 +303,8 @@ class PartitionedProcess(PricingProblem):
             equations.clear()
             equations = self._leaving_equations(choice, values)
         column = self._measured(equations, totals, work)
-        self.kept(self._positions(column), weights)
+        if self.kept is not None:
+            self.kept(self._positions(column), weights)
         return column
 
     def _weights(self, price: float | FloatArray) -> FloatArray:
@@ -350,9 +347,9 @@ class PartitionedProcess(PricingProblem):
     def _giving_up(self, equations: _Equations) -> IntArray:
         """Return the policy with giving up where it has failed, [own nodes].
 
-        It has failed where it can no longer reach the goal by its own decisions and may give up. If
-        other ends count, or giving up is not allowed, it has failed only where it stays for ever
-        and nothing is counted.
+        The policy has failed in nodes where giving up is allowed and its own decisions no longer
+        lead to the goal. If other ends count, or the criterion forbids giving up, the policy has
+        failed only in nodes where it stays for ever and collects no reward.
         """
         choice = equations.choice
         leads = self.labelled.process.goal[choice] > 0.0
@@ -465,7 +462,7 @@ class PartitionedProcess(PricingProblem):
     def pulled_back(self, column: Column) -> Policy:
         """Return the decisions of a column in the rank's own states of the model."""
         part: Any = self.labelled.quotient.model
-        return OwnDecisions(part, self._positions(column), column.figures)
+        return _OwnDecisions(part, self._positions(column), column.figures)
 
     def _positions(self, column: Column) -> IntArray:
         """Return a column's decisions in the own states, as positions among actions or codes."""

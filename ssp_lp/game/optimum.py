@@ -79,7 +79,6 @@ class Threshold:
     members: tuple[BestResponse, ...]  # one or two policies
     weights: tuple[float, ...]
     games: int  # number of games, each at another c
-    responses: tuple[BestResponse, ...]
     in_time: bool = True  # whether the search ended before its deadline
 
     @property
@@ -142,9 +141,7 @@ def find_threshold(
         low = max(low, _threshold_from_game_value(played) / share)
         members, weights, cost = cheapest_mixture(responses, room)
         high = cost / share
-        answer = Threshold(
-            budget, min(low, high), high, played, members, weights, games, tuple(responses)
-        )  # fmt: skip
+        answer = Threshold(budget, min(low, high), high, played, members, weights, games)
         with WithIncumbent():  # the callback may stop the search
             if progress is not None:
                 progress(len(responses), answer.failure_price, high)
@@ -501,7 +498,7 @@ def thresholds(
         check_budget(problem, budget, responses[0], tail)
         share = 1.0 - budget if problem.ratio else 1.0
         curve.append(find_threshold(player, budget, share, responses, tolerance=tolerance))
-        responses = curve[-1].responses
+        responses = curve[-1].game.responses
     return curve
 
 

@@ -69,15 +69,14 @@ _RARE = 1e-3
 _STALLED = 1e-8
 """Relative gap that counts as rounding if more layers do not reduce it."""
 
-_ACCURACY = 1e-13  # relative accuracy of the tails' values, the best of a sum of many products
-_TIGHT = 1e-12  # accuracy of a value function of one layer
+_ACCURACY = 1e-13  # relative accuracy of values, the best of a sum of many products
 _ROUNDED = 8.0 * MACHINE_EPSILON  # relative rounding of a tail's value
 _DEAREST = 1e100  # a price of J_cond at which J_obj is negligible
 
 _FIRST_SWEEPS = 16  # of value iteration, before the first policy iteration
 _MOST_SWEEPS = 1 << 14  # of value iteration, after which only rounding is left
 _FIRST_HORIZON = 32
-_SLOW = 0.9  # share of the gap from which on doubling the horizon does not help
+_SLOW = 0.9  # share of the last gap from which on a larger table does not help
 _MOST_STEPS = 100_000
 _MOST_TIMED_ENTRIES = 100_000_000
 """Most entries of a table of decisions, nodes x layers x time."""
@@ -143,7 +142,7 @@ class BestResponse:
 
 
 @dataclass(frozen=True, eq=False)
-class Iterated:
+class _Iterated:
     """Result of value iteration: a policy, its exact costs, and a lower bound of all policies."""
 
     values: FloatArray  # [nodes] checked: at most the optimal value at every node
@@ -160,7 +159,7 @@ def iterate_values(
     watched: FloatArray,
     *,
     accuracy: float,
-) -> Iterated:
+) -> _Iterated:
     """Minimise ``weights @ costs`` by value iteration, with T_alpha of section 3.5.
 
     The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The exact value of the greedy
@@ -194,7 +193,7 @@ def iterate_values(
         below, above = float(watched @ values), float(watched @ attained)
         stuck = before > -np.inf and above - below <= rounding * above
         if above - below <= accuracy * above or stuck or sweeps > _MOST_SWEEPS:
-            return Iterated(values, choice, totals, sweeps)
+            return _Iterated(values, choice, totals, sweeps)
         before = below
 
 
@@ -255,7 +254,7 @@ def label_process(
     return process, float(start @ entering)
 
 
-class Strategy(NamedTuple):
+class _Strategy(NamedTuple):
     """A decision for each (time, layer, node); the last time's decisions apply ever after."""
 
     choice: IntArray  # [times, layers, nodes] position among the pairs of the node
@@ -371,7 +370,7 @@ class Player:
         base, most = self.base, _MOST_ENTRIES // max(self.base.n_nodes, 1)
         most = min(most, _MOST_LAYERS)
         if not base.by_steps and cap <= most:
-            return base.totals(int(cap))
+            return base.totals(int(np.ceil(cap)))
         model = base.quotient.model
         sums = sums_in(model, cap, min(most, MOST_SUMS)) if base.by_steps else None
         if sums is None:
@@ -405,40 +404,33 @@ class Player:
             return self._iterated(weights, accuracy)
         if self.tail is not None:
             units = self.tail / self.base.unit
-            return self._swept(
-                weights, units if self.base.by_steps else float(np.ceil(units * (1.0 - SAME_TOTAL)))
-            )
+            return self._swept(weights, units * (1.0 if self.base.by_steps else 1.0 - SAME_TOTAL))
         cap, sweeps, lost = self._first_cap(weights), 0, dict[float, float]()
         while True:
             response = self._swept(weights, cap)
             layers = response.strategy.totals.size
             sweeps += response.sweeps
             pays = response.payoff(objective_weight, condition_weight)
-            stalled = pays - response.bound > 0.9 * min(lost.values(), default=np.inf)
+            stalled = pays - response.bound > _SLOW * min(lost.values(), default=np.inf)
             lost[cap] = pays - response.bound
             size = response.size(objective_weight, condition_weight)
             wanted = max(accuracy, _LAYER_ROUNDING * layers) * size
             if lost[cap] <= wanted or (stalled and lost[cap] <= _STALLED * size):
                 return replace(response, sweeps=sweeps)
-            cap = self._whole(_larger_cap(lost, wanted)) + self.dearest
-
-    def _whole(self, cap: float) -> float:
-        """Round a cap M up to a whole number of layers, if the layers have a common unit."""
-        return cap if self.base.by_steps else float(np.ceil(cap))
+            cap = _larger_cap(lost, wanted) + self.dearest
 
     def _first_cap(self, weights: FloatArray) -> float:
         """Return the first M: the total after which it is best to fail, if that is not too large.
 
-        Otherwise it is a small number of steps at the greatest cost, which grows soon.
+        Otherwise the first M is a few steps of the greatest cost, and M grows soon.
         """
         base, cap = self.base, _FIRST_LAYERS * self.dearest
         if weights[0] == 0.0:
             return cap
         lossless = base.survival * weights[1] / (weights[0] * base.unit)
-        once_more = self.dearest if base.by_steps else 1.0
-        return self._whole(lossless) + once_more if lossless <= 8 * cap else cap
+        return lossless + self.dearest if lossless <= 8 * cap else cap
 
-    def values_of(self, weights: FloatArray, watched: FloatArray, accuracy: float) -> Iterated:
+    def values_of(self, weights: FloatArray, watched: FloatArray, accuracy: float) -> _Iterated:
         """Run value iteration on one layer, at weights of J_obj and J_cond."""
         base = self.base
         costs = np.stack([base.gain_cost, base.failure], axis=1)
@@ -453,7 +445,7 @@ class Player:
         objective, condition = (base.start @ iterated.totals + fixed).tolist()
         bound = float(base.start @ iterated.values + fixed @ weights)
         choice = (iterated.choice - base.pair_offsets[:-1])[None, None]
-        strategy = Strategy(choice, base.totals(1), iterated.values)
+        strategy = _Strategy(choice, base.totals(1), iterated.values)
         return BestResponse(objective, condition, bound, strategy, iterated.sweeps)
 
     def _swept(self, weights: FloatArray, cap: float) -> BestResponse:
@@ -470,7 +462,7 @@ class Player:
         bound = max(scale * self.lower_bounds(sweep, price, failing)[0][0],
                     -weights[1] * self.origin)  # J_obj is never negative  # fmt: skip
         failed = -base.start_goal - goal if self.origin else base.start_failure + failure
-        strategy = Strategy(choice[None], process.totals, process=process, price=price)
+        strategy = _Strategy(choice[None], process.totals, process=process, price=price)
         return BestResponse(objective, failed, float(bound), strategy, 2 * process.cap, self.origin)
 
     def lower_bounds(
@@ -527,7 +519,7 @@ class Player:
             return np.broadcast_to(np.inf, shape)
         is_settled = base.start_goal + base.start_failure > 0.0
         with WithIncumbent(), closing():
-            response = self.response(1.0, price, _TIGHT)
+            response = self.response(1.0, price, _ACCURACY)
             return np.append(response.strategy.values, [response.bound] * is_settled)
         return np.full(base.n_nodes + is_settled, np.inf)
 
@@ -536,20 +528,18 @@ class Player:
 
         Successive stages with equal decisions are one object.
         """
-        strategy: Strategy = response.strategy
+        strategy: _Strategy = response.strategy
+        quotient, first, process = self.base.quotient, self.base.pair_offsets[:-1], strategy.process
         stages: list[Policy] = []
         for time, choice in enumerate(strategy.choice):
-            if time == 0 or not np.array_equal(choice, strategy.choice[time - 1]):
-                stage = self._stage_policy(strategy, choice)
-            stages.append(stage)
+            if time > 0 and np.array_equal(choice, strategy.choice[time - 1]):
+                stages.append(stages[-1])
+            elif process is not None:
+                stages.append(process.policy(choice, strategy.price))
+            else:
+                decision = quotient.pull_back(first + choice[0])
+                stages.append(DeterministicPolicy(quotient.model, decision))
         return TimedPolicy(tuple(stages)) if len(stages) > 1 else stages[0]
-
-    def _stage_policy(self, strategy: Strategy, choice: IntArray) -> Policy:
-        """Return the policy on the original states of a choice at one time, [layers, nodes]."""
-        if strategy.process is not None:
-            return strategy.process.policy(choice, strategy.price)
-        quotient, first = self.base.quotient, self.base.pair_offsets[:-1]
-        return DeterministicPolicy(quotient.model, quotient.pull_back(first + choice[0]))
 
 
 def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
@@ -671,7 +661,7 @@ class BayesPlayer(Player):
         A policy that fails surely has exactly 0 here.
         """
         base, gamma = self.base, self.base.survival
-        strategy: Strategy = self.response(1.0, price, accuracy).strategy
+        strategy: _Strategy = self.response(1.0, price, accuracy).strategy
         horizon, totals = len(strategy.choice) - 1, strategy.totals
         stage, worth = self._stage(totals), price * gamma * base.gain[:, None]
         weights, beyond_cap = np.array([1.0, price]), totals.beyond
@@ -759,7 +749,7 @@ class BayesPlayer(Player):
             objective=float(base.start @ objective[:, 0] + fixed[0]),
             failing=float(base.start @ condition[:, 0] + fixed[1]),
             bound=bound * (1.0 - (horizon + 1) * self._lost),  # sums of non-negative terms
-            strategy=Strategy(choice, totals, process=process),
+            strategy=_Strategy(choice, totals, process=process),
             sweeps=horizon * cap,
         )
 

@@ -264,7 +264,7 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     from ssp_lp.game.optimum import stationary_game
 
     equilibrium = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
-    replies = equilibrium.threshold.responses
+    replies = equilibrium.threshold.game.responses
     reason = f"the paper's game, {equilibrium.threshold.games} values of c"
     work = Work(backups=sum(r.sweeps for r in replies))
     price = (

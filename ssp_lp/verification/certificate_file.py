@@ -24,8 +24,6 @@ import numpy as np
 from ssp_lp.accumulated_cost.charges import (
     Charge,
     ExpectedArrivalCost,
-    ExpectedUtility,
-    ExponentialUtility,
     Reward,
     TailMeanOf,
     TotalCostCharge,
@@ -193,13 +191,7 @@ class Statement:
         if problem.discount is not None and problem.reach_fraction is not None:
             both = Argument("reach_fraction"), " and ", Argument("discount")
             raise ModelError(f"no certificate file of {type(problem).__name__} with ", *both)
-        known = (
-            TotalCostCharge,
-            WithinBound,
-            ExpectedUtility,
-            ExponentialUtility,
-            ExpectedArrivalCost,
-        )
+        known = TotalCostCharge, Reward, ExpectedArrivalCost
         if charge is not None and not isinstance(charge, known):
             name = type(charge).__name__
             raise _refused(problem, f"its charge of the total cost is a {name}{_IN_MEMORY}")
@@ -545,7 +537,10 @@ def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
     acting: IntArray = np.flatnonzero(live[states] & (states >= 0))
     states, memory = states[acting], np.zeros_like(acting)
     if isinstance(policy, CostAwarePolicy) and program.steps:
-        memory = policy.remember(memory, memory, states, totals[acting])
+        paid = totals[acting]
+        if policy.levels is None:  # the cap may lie between two layers
+            paid = np.rint(paid / policy.unit) * policy.unit
+        memory = policy.remember(memory, memory, states, paid)
     elif policy.memory_size != 1:
         raise ModelError("no certificate of a policy that remembers more than the cost paid")
     branches = policy.branches(states, memory)

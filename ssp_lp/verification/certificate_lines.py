@@ -41,7 +41,7 @@ Lines = Callable[[], Iterator[bytes]]  # lines of a file, from the first one at 
 
 
 def lines_of(path: Any) -> Lines:
-    """Return a reader of a file's lines, which refuses more or longer ones than its size allows."""
+    """Return a reader of a file's lines, which refuses too many or too long ones for its size."""
 
     def lines() -> Iterator[bytes]:
         """Yield the lines from the first one on."""
@@ -58,7 +58,7 @@ def lines_of(path: Any) -> Lines:
 
 
 def read(line: bytes, **kinds: type) -> Any:
-    """Return a line's content: an object of these keys or, without keys, a list."""
+    """Return a line's content: an object with the given keys or, if none are given, a list."""
 
     def once(pairs: list[tuple[str, Any]]) -> Question:
         need(len(dict(pairs)) == len(pairs), "a key comes twice:", *(key for key, _ in pairs))
@@ -72,7 +72,7 @@ def read(line: bytes, **kinds: type) -> Any:
 
 
 def read_question(lines: Iterator[bytes]) -> tuple[Question, str, Any]:
-    """Read the question, the SHA-256 of it and the model, and the value of a quantile."""
+    """Read the question, the SHA-256 of question and model, and the claimed value of a quantile."""
     question, digest = read(first := next(lines), **KINDS), hashlib.sha256(first)
     need(question["format"] == FORMAT, "this is not a certificate of this format")
     for line in islice(lines, whole(question["states"], LARGE)):
@@ -203,7 +203,7 @@ def digested(program: Program, digest: Any) -> Iterator[Any]:
 
 
 def check(lines: Lines, expected: str | None = None) -> tuple[Bounds, Question, list[str]]:
-    """Return the proved interval, the question, and the SHA-256 of it and of each program.
+    """Return the proved interval, the question, the SHA-256 of question and model, and of programs.
 
     Args:
         lines: lines of the file, from the first one at each call.

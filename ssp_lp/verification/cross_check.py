@@ -1,7 +1,7 @@
 """Cross-checks: a problem solved by the linear program, column generation and the paper's game.
 
-The methods share one reading of the model: dead-ends, attention states, charges of failing and
-states where wandering is free. ``ssp_lp.verification.expand`` recomputes it in fractions.
+The methods read the model by the same code: dead-ends, attention states, charges of failing and
+states where wandering is free. ``ssp_lp.verification.expand`` recomputes all of these in fractions.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ M, which an interior point solves in seconds, and one to two million in case S, 
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """A solution, and its policy evaluated on the model."""
+class EvaluatedSolution:
+    """A solution, with its policy evaluated on the model."""
 
     solution: Solution
     evaluation: Evaluation
@@ -59,7 +59,7 @@ class MethodResult:
     """Result of one method in a cross-check: an answer, or a note that says why there is none."""
 
     name: str
-    answer: Answer | None = None
+    answer: EvaluatedSolution | None = None
     note: str = ""
     error: SSPError | None = None  # the error in which the method ended
     seconds: float | None = None
@@ -99,7 +99,7 @@ def result_of(name: str, solution: Solution) -> MethodResult:
             cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
         members.append((weight, cost, failure))
     note = "; ".join(part for part in (solution.note, solution.run.program) if part)
-    answer = Answer(solution, evaluation, np.array(members))
+    answer = EvaluatedSolution(solution, evaluation, np.array(members))
     return MethodResult(name, answer, note, seconds=solution.seconds)
 
 
@@ -256,8 +256,8 @@ def cross_check(
 ) -> CrossCheck:
     """Cross-check a problem: solve it by every method, and compare the results.
 
-    The methods share one reading of the model, which is compared with a second one by the plain
-    loops of the certificates' checker (:class:`SecondReading`).
+    All methods read the model by the same code. The plain loops of the certificates' checker read
+    the model a second time, and both readings are compared (:class:`SecondReading`).
 
     Args:
         problem: a formulation, such as ``MCMP(...)`` or ``S3P(...)``.
@@ -386,7 +386,7 @@ def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) ->
 
 
 def _mutual_objections(
-    answers: Mapping[str, Answer], agree: Callable[[float, float], bool]
+    answers: Mapping[str, EvaluatedSolution], agree: Callable[[float, float], bool]
 ) -> dict[str, str]:
     """Return objections to methods outside the majority, or with a bound above a known value.
 
@@ -438,7 +438,7 @@ def second_reading(problem: Problem) -> SecondReading | None:
     faults: list[str] = []
 
     def compare(part: str, ours: BoolArray, theirs: set[int]) -> int:
-        """Count the states of a kind, and note one that is of it in one reading only."""
+        """Count the states of a kind, and note the first state on which the readings differ."""
         told = nobody.copy()
         told[sorted(theirs)] = True
         for x in np.flatnonzero(told != ours)[:1].tolist():

@@ -1,11 +1,12 @@
 """Proofs of a certificate's programs: exact bounds and lotteries by column generation.
 
 This module need not be trusted, as ``prove.py`` checks its results. Numbers are whole multiples of
-1 / ``ONE``, called units. Values at prices come from policy iteration; its equations are solved by
-a factorisation in working precision, refined until they hold up to some units. The values are then
-lowered by a tiny share of the longest run among optimal columns, so that every inequality holds
-with room for the digits that are left out. An upper bound of a member's quantity is a lower bound
-with the opposite sign. The master program over the members is solved in fractions.
+1 / ``ONE``, called units. Values at prices come from policy iteration, which starts from a policy
+that is optimal in working precision. Its equations are solved by a factorisation in working
+precision, refined until they hold up to some units. The values are then lowered by a tiny share of
+the longest run among optimal columns, so that every inequality holds with room for the digits that
+are left out. An upper bound of a member's quantity is a lower bound with the opposite sign. The
+master program over the members is solved in fractions.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
+from itertools import repeat
 from operator import mul
 from typing import Any, NamedTuple
 
@@ -27,7 +29,7 @@ from ssp_lp.arrays import offsets_of
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
-from ssp_lp.model.graph import Graph, end_components, nearer_pairs
+from ssp_lp.model.graph import end_components, nearer_pairs
 from ssp_lp.verification.expand import ZERO, Program
 from ssp_lp.verification.prove import EXCESS, Bounds, Column, Counts, Row
 
@@ -114,58 +116,22 @@ class Nodes:
     def values(self, prices: Sequence[Fraction]) -> dict[int, int]:
         """Return values that satisfy every inequality at prices, near the greatest such values."""
         value, costs = dict[int, int](), dict[Counts, Fraction]()
+
+        def priced(counts: Counts) -> Fraction:
+            """Return the cost of a column with these counts, in units."""
+            if (cost := costs.get(counts)) is None:
+                cost = costs[counts] = sum(map(mul, prices, counts[1:]), counts[0]) * ONE
+            return cost
+
         for block in self.blocks:
-            inside, columns, own = set(block), [c for i in block for c in self.at(i)], list[int]()
-            for _, _, total, moves, counts in columns:
-                if (cost := costs.get(counts)) is None:
-                    paid = sum(map(mul, prices, counts[1:]), counts[0])
-                    cost = costs[counts] = paid * ONE
-                own.append(math.floor(cost * total))
-                own[-1] += sum(a * value[j] for a, j in moves if j not in inside)
-            if any(j in inside for column in columns for _, j in column.moves):
-                found = self._connected(block, columns, own)
-            else:
-                found = dict[int, tuple[int, int]]()
-                position = _positions(columns)
-                for k, column, worth in zip(position, columns, own, strict=True):
-                    least = worth // column.total // _PARTS * _PARTS
-                    found[column.node] = min(found.get(column.node, (least, k)), (least, k))
-            for i, (least, k) in found.items():
+            columns = [column for i in block for column in self.at(i)]
+            ways = _ways_of(columns, (priced(column.counts) for column in columns), value)
+            best = _connected(ways) if any(way.outcomes for way in ways) else _least(ways)
+            position = _positions(columns)
+            for i, (least, w) in zip(block, best, strict=True):
                 value[i] = max(least, 0) if i in self.program.follows else least
-                self.last[i] = k
+                self.last[i] = position[w]
         return value
-
-    def _connected(
-        self, block: list[int], columns: list[Column], own: list[int]
-    ) -> dict[int, tuple[int, int]]:
-        """Return the value and a best decision of each node of a block with cycles.
-
-        The nodes of a free end component have one value, as its cycles give no inequality.
-        """
-        place, position = {i: n for n, i in enumerate(block)}, _positions(columns)
-        inner = [[(a, place[j]) for a, j in c.moves if j in place] for c in columns]
-        entries = [
-            (a / c.total, j) for c, some in zip(columns, inner, strict=True) for a, j in some
-        ]
-        chances, successors = np.array(entries, dtype=np.float64).reshape(-1, 2).T
-        counts = np.bincount([place[c.node] for c in columns], minlength=len(block))
-        graph = Graph(offsets_of(counts), offsets_of(np.array(list(map(len, inner)))),
-                      successors.astype(np.int32), chances)  # fmt: skip
-        is_free = [not cost and sum(a for a, _ in some) == column.total
-                   for column, some, cost in zip(columns, inner, own, strict=True)]  # fmt: skip
-        component, stays = end_components(graph, np.array(is_free))
-        names = [c if c >= 0 else -1 - n for n, c in enumerate(component.tolist())]
-        number = {name: g for g, name in enumerate(dict.fromkeys(names))}
-        group = [number[name] for name in names]
-        home = [group[place[column.node]] for column in columns]
-        leaving = sorted(np.flatnonzero(~stays).tolist(), key=home.__getitem__)
-        ways = [_Way(home[c], columns[c].total, [(a, group[j]) for a, j in inner[c]], own[c])
-                for c in leaving]  # fmt: skip
-        best, values = sub_solution(ways, near_choice(ways, len(number)))
-        taken = np.zeros(len(columns), dtype=np.bool_)
-        taken[[leaving[w] for w in best]] = True
-        nearer = nearer_pairs(graph, taken, taken | stays).tolist()  # to where its group is left
-        return {i: (values[group[n]], position[nearer[n]]) for i, n in place.items()}
 
     def stop(self, node: int, *, must_wait: bool = False) -> int:
         """Return the position of a node's column that waits for ever or, without one, gives up.
@@ -214,9 +180,11 @@ class Nodes:
         for block in self.blocks:
             some = [chosen[i] for i in block if i in met]
             widest = max(widest, *(-(-sum(a for a, _ in c.moves) // c.total) for c in some), 1)
-            steps |= _followed(some, [Fraction(1)] * len(some), steps, solved)
+            at = [column.node for column in some]
+            steps |= zip(at, solved(_ways_of(some, repeat(Fraction(-ONE)), steps)), strict=True)
             for q, known in enumerate(u):
-                known |= _followed(some, [c.counts[q] for c in some], known, _lowered)
+                ways = _ways_of(some, (-column.counts[q] * ONE for column in some), known)
+                known |= zip(at, _lowered(ways), strict=True)
         # whole numbers: rounding each t up adds less than 1 + widest to its successors' mean
         t = {i: -(step * 2 * (1 + widest) // ONE) for i, step in steps.items()}
         kept = {i: decision[i] for i in met}
@@ -234,26 +202,56 @@ def _closure(begin: Iterable[int], after: Callable[[int], Iterable[int]]) -> set
     return met
 
 
-def _followed(
-    chosen: Sequence[Column], own: Sequence[Fraction], known: Mapping[int, int],
-    values_of: Callable[[Sequence[_Way]], list[int]],
-) -> dict[int, int]:  # fmt: skip
-    """Return the negative of a quantity that a policy collects from each of some nodes on.
+def _ways_of(
+    columns: Sequence[Column], costs: Iterable[Fraction], known: Mapping[int, int]
+) -> list[_Way]:
+    """Return the columns of some nodes as ways between these nodes, which are numbered in order.
 
     Args:
-        chosen: the policy's columns at these nodes.
-        own: the quantity of each column.
-        known: values of the other nodes that the columns lead to.
-        values_of: solver of the equations, one way for each node.
+        columns: columns of the nodes, node by node.
+        costs: cost of each column, in units.
+        known: values of the other nodes that the columns lead to, which become part of the cost.
     """
-    place = {column.node: n for n, column in enumerate(chosen)}
-    ways = list[_Way]()
-    for n, (column, count) in enumerate(zip(chosen, own, strict=True)):
-        ahead = sum(a * known[j] for a, j in column.moves if j not in place)
-        inner = [(a, place[j]) for a, j in column.moves if j in place]
-        own_part = math.floor(-count * column.total * ONE)
-        ways.append(_Way(n, column.total, inner, own_part + ahead))
-    return dict(zip(place, values_of(ways), strict=True))
+    nodes = dict.fromkeys(column.node for column in columns)
+    place, ways = {i: n for n, i in enumerate(nodes)}, list[_Way]()
+    for (node, _, total, moves, _), cost in zip(columns, costs, strict=False):
+        inner = [(a, place[j]) for a, j in moves if j in place]
+        ahead = sum(a * known[j] for a, j in moves if j not in place)
+        ways.append(_Way(place[node], total, inner, math.floor(cost * total) + ahead))
+    return ways
+
+
+def _least(ways: Sequence[_Way]) -> list[tuple[int, int]]:
+    """Return the least cost of each node, and the way that has it, if no way has outcomes."""
+    best = dict[int, tuple[int, int]]()
+    for w, way in enumerate(ways):
+        worth = way.own // way.total // _PARTS * _PARTS, w
+        best[way.node] = min(best.get(way.node, worth), worth)
+    return list(best.values())
+
+
+def _connected(ways: Sequence[_Way]) -> list[tuple[int, int]]:
+    """Return the value of each node of a block with cycles, and a best way from it.
+
+    The nodes of a free end component have one value, as its cycles give no inequality.
+    """
+    size = ways[-1].node + 1
+    dynamics = _dynamics_of(ways, size)
+    free = (dynamics.exits == 0.0) & np.array([way.own == 0 for way in ways])
+    component, stays = end_components(dynamics.graph, free)
+    names = [c if c >= 0 else -1 - n for n, c in enumerate(component.tolist())]
+    number = {name: g for g, name in enumerate(dict.fromkeys(names))}
+    group = [number[name] for name in names]
+    leaving = np.flatnonzero(~stays).tolist()
+    leaving.sort(key=lambda w: group[ways[w].node])
+    grouped = [_Way(group[node], total, [(a, group[j]) for a, j in outcomes], own)
+               for node, total, outcomes, own in map(ways.__getitem__, leaving)]  # fmt: skip
+    best, values = sub_solution(grouped, near_choice(grouped, len(number)))
+    taken = np.zeros(len(ways), dtype=np.bool_)
+    taken[[leaving[w] for w in best]] = True
+    # in a component: to where it is left
+    nearer = nearer_pairs(dynamics.graph, taken, taken | stays).tolist()
+    return [(values[g], w) for g, w in zip(group, nearer, strict=True)]
 
 
 def _lowered(ways: Sequence[_Way]) -> list[int]:
@@ -292,7 +290,30 @@ def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[
     share = max(lost * ONE // (4 * (ONE - min(steps))), 8)
     grid = 10 ** (len(str(share // 4)) - 1)
     lowered = [(v + share * n // ONE) // grid * grid for v, n in zip(values, steps, strict=True)]
-    return choice, lowered
+    return choice, _ended_exactly(ways, lowered, 2 * lost)
+
+
+def _ended_exactly(ways: Sequence[_Way], values: list[int], room: int) -> list[int]:
+    """Raise values to the cost of ending at once, if the increase is at most ``room``.
+
+    If failure is not limited, a ratio needs the value of failing surely to the last digit.
+    """
+    ends = dict[int, int]()
+    for way in ways:
+        if not way.outcomes:
+            end = way.own // way.total
+            ends[way.node] = min(ends.get(way.node, end), end)
+    ends = {i: end for i, end in ends.items() if 0 < end - values[i] <= room}
+    while ends:
+        raised = [ends.get(i, value) for i, value in enumerate(values)]
+        wrong = {
+            way.node for way in ways if way.node in ends and
+            raised[way.node] * way.total > way.own + sum(a * raised[j] for a, j in way.outcomes)
+        }  # fmt: skip
+        if not wrong:
+            return raised
+        ends = {i: end for i, end in ends.items() if i not in wrong}
+    return values
 
 
 def best_values(
@@ -326,17 +347,23 @@ def near_choice(ways: Sequence[_Way], n_nodes: int) -> list[int]:
     Raises:
         SolverError: a node cannot be left.
     """
-    counts = np.bincount([way.node for way in ways], minlength=n_nodes)
-    exits = np.array([(w.total - sum(a for a, _ in w.outcomes)) / w.total for w in ways])
-    entries = [(k, j, a / way.total) for k, way in enumerate(ways) for a, j in way.outcomes]
-    dynamics = Dynamics(offsets_of(counts), _matrix(entries, (len(ways), n_nodes)), exits)
-    choice = nearer_pairs(dynamics.graph, exits > 0.0)
+    dynamics = _dynamics_of(ways, n_nodes)
+    choice = nearer_pairs(dynamics.graph, dynamics.exits > 0.0)
     if choice.min() < 0:
         raise SolverError("some states cannot be left")
     costs = np.array([way.own / way.total / ONE for way in ways])[:, None]
     with suppress(SolverError):
         choice = iterate_policy(dynamics, costs, np.ones(1), choice, precise=False).choice
     return list(map(int, choice))
+
+
+def _dynamics_of(ways: Sequence[_Way], n_nodes: int) -> Dynamics:
+    """Return the ways of all nodes, node by node, as a process in working precision."""
+    counts = np.bincount([way.node for way in ways], minlength=n_nodes)
+    exits = [(way.total - sum(a for a, _ in way.outcomes)) / way.total for way in ways]
+    entries = [(w, j, a / way.total) for w, way in enumerate(ways) for a, j in way.outcomes]
+    rows = _matrix(entries, (len(ways), n_nodes))
+    return Dynamics(offsets_of(counts), rows, np.array(exits))
 
 
 def _matrix(entries: Sequence[tuple[int, int, float]], shape: tuple[int, int]) -> sp.csr_array:

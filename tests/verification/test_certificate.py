@@ -338,6 +338,15 @@ def test_least_failures_that_are_tiny(length, chance, tmp_path):
     assert most.lower <= 1 - Fraction(str(chance)) <= most.upper
 
 
+def test_a_quantile_without_a_limit_of_failure_needs_failing_surely_to_the_last_digit(tmp_path):
+    """A bound of failing surely that lies below 0 by a unit proves nothing of a ratio."""
+    way = {"safe": [(1.0, "g", 0.0)], "on": [(1.0, "y", 0.0)]}
+    risk = {"risk": [(6 / 7, "d", 1.0), (1 / 7, "g", 2.0)]}
+    problem = CostQuantile(model_of({"x": way, "y": risk, "d": {}}), "x", 0.8, 1.0)
+    written = write_certificate(solve(problem), tmp_path / "one")
+    assert (written.lower, written.upper) == (0, 0)
+
+
 @pytest.mark.parametrize("written", [True, False])
 def test_a_bound_below_every_policy_by_rounding_is_told(written, tmp_path):
     """No policy fails with less than 0.06; a fuel that every policy burns, but for some units."""
