@@ -17,12 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph, linalg
 
-from ssp_lp.arrays import (
-    FloatArray,
-    IntArray,
-    offsets_of,
-    unsigned,
-)
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of, unsigned
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import Moves

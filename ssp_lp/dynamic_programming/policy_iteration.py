@@ -34,11 +34,7 @@ from ssp_lp.compiled.deadline import STOPS, Stop, check_time, end_with_incumbent
 from ssp_lp.dynamic_programming.bellman import Backup, Work, best_pairs
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_chain
-from ssp_lp.dynamic_programming.equations import (
-    DIRECT_STATES,
-    EXACT,
-    System,
-)
+from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT, System
 from ssp_lp.dynamic_programming.evaluation import (
     NEARLY,
     PRECISE,
