@@ -521,9 +521,8 @@ class Sweep:
 
             owner = np.repeat(base.quotient.pair_node, np.diff(instant.indptr))
             begins = unsigned(instant.indptr)[base.pair_offsets]
-            _, order, n_components = order_components(
-                begins[:-1], begins[1:], instant.indices, instant.data
-            )
+            entries = begins, instant.indices, instant.data
+            _, order, n_components = order_components(*entries, by_height=False)
             order = unsigned(order)
             if n_components < base.n_nodes or (instant.indices == owner).any():  # cycles
                 if base.steps_within is None or base.steps_within.max() > _MOST_WITHIN:

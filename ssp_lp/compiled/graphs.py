@@ -20,7 +20,7 @@ _TURNS = 100_000  # turns of a search between two checks of the time
 
 
 def order_components(
-    begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
+    indptr: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool
 ) -> tuple[IntArray, IntArray, int]:
     """Number a graph's strong components, each after the components that it leads to.
 
@@ -28,44 +28,31 @@ def order_components(
     come after the states that they lead to.
 
     Args:
-        begin: first entry of each state, [states].
-        end: past its last one, [states].
+        indptr: offsets of each state's entries, [states + 1].
         indices: [entries].
         data: entries of 0 are no edges, [entries].
         by_height: whether components at equal distance from the ends have the order of their
-        states,
-            so that passes along the order read adjacent rows.
+            states, so that passes along the order read adjacent rows.
 
     Returns:
         The component of each state, [states]; the states, one component after the other, [states];
         and the number of components.
     """
-    n = len(begin)
-    label, order = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
-    finished, n_components = _found_components(begin, end, unsigned(indices), data, label)
-    if by_height:
-        _number_by_height(begin, end, unsigned(indices), data, finished, n_components, label)
-    _sort_by_component(label, finished, n_components, order)
-    return label, order.view(np.int32), n_components
-
-
-def _found_components(
-    begin: IntArray, end: IntArray, indices: IntArray, data: Array, label: IntArray
-) -> tuple[IntArray, int]:
-    """Number the strong components of a graph in place, ends first.
-
-    Returns:
-        The states in the order in which the search finished them, and the number of components.
-    """
-    n, label[:] = label.size, -1
+    n = len(indptr) - 1
+    graph = indptr[:-1], indptr[1:], unsigned(indices), data
+    label, order = np.full(n, -1, dtype=np.int32), np.empty(n, dtype=np.uint32)
     number, low = np.zeros((2, n), dtype=np.uint32)
     opened, calls = np.empty((2, n), dtype=np.uint32)
     finished, counts = np.empty(n, dtype=np.uint32), np.zeros(6, dtype=np.int64)
-    arrays = number, low, begin.copy(), opened, calls, finished, counts
+    arrays = label, number, low, graph[0].copy(), opened, calls, finished, counts
     check_time()
-    while _search_components(begin, end, indices, data, label, *arrays):
+    while _search_components(*graph, *arrays):
         check_time()
-    return finished, int(counts[5])
+    n_components = int(counts[5])
+    if by_height:
+        _number_by_height(*graph, finished, n_components, label)
+    _sort_by_component(label, finished, n_components, order)
+    return label, order.view(np.int32), n_components
 
 
 @compiled_loop

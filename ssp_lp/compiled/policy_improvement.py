@@ -18,9 +18,6 @@ columns and probabilities, [entries] each; and the probability of leaving for go
 _MOST_ROUNDS = 1_000
 """Most rounds in one component, which only rounding could exceed; the bound shows the loss."""
 
-_ROUNDS = 50
-"""Most of Howard's rounds in one component before its neighbours are improved."""
-
 
 @compiled_loop
 def improve_components(
@@ -51,11 +48,10 @@ def improve_components(
     for c in range(components.size - 1):
         begin, end = components[c], components[c + 1]
         if end - begin > 1:
-            _, leaves = improve_component(
-                rows, order[begin:end], place, cost, noise, 0.0, _MOST_ROUNDS, choice, values,
+            if not _improve_component(
+                rows, order[begin:end], place, cost, noise, choice, values,
                 inner, low, leaving, right,
-            )  # fmt: skip
-            if not leaves:
+            ):  # fmt: skip
                 return c
             continue
         s = order[begin]
@@ -127,48 +123,36 @@ def improve_acyclic(
 
 
 @compiled_loop
-def improve_component(
-    rows: Rows, states: Array, place: Array, cost: Array, noise: float, floor: float, rounds: int,
+def _improve_component(
+    rows: Rows, states: Array, place: Array, cost: Array, noise: float,
     choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
-) -> tuple[int, bool]:  # fmt: skip
-    """Improve a policy within a component by Howard's rounds, in place.
-
-    Returns:
-        The number of changes of a pair, and whether all policies left.
-    """
+) -> bool:  # fmt: skip
+    """Improve a policy within a component by Howard's rounds; return whether all policies left."""
     _, indptr, indices, data, exits = rows
     column, rewards = values.reshape(values.size, 1), cost.reshape(cost.size, 1)
-    size, changed, leaves = states.size, 0, True
-    held = np.empty(size, dtype=choice.dtype)
+    size, leaves = states.size, True
     for i in range(size):
         place[states[i]] = i
-    for _ in range(rounds):
+    for _ in range(_MOST_ROUNDS):
         gather_component(
             indptr, indices, data, exits, choice, states, 0, size, place, rewards, True, column,
             inner, low, leaving, right,
         )  # fmt: skip
-        if not eliminate_component(inner, low, leaving, right, size):
-            leaves = False
-            if changed:
-                for i in range(size):
-                    choice[states[i]] = held[i]
+        leaves = eliminate_component(inner, low, leaving, right, size)
+        if not leaves:
             break
-        now = 0
         for i in range(size):
             values[states[i]] = right[i, 0]
-        for i in range(size):
-            s = states[i]
-            held[i] = choice[s]
+        changed = False
+        for s in states:
             pick, least, kept, terms = _best_pair(rows, cost, values, s, choice[s])
-            if least < kept - noise * terms - floor:
-                choice[s] = pick
-                now += 1
-        changed += now
-        if now == 0:
+            if least < kept - noise * terms:
+                choice[s], changed = pick, True
+        if not changed:
             break
     for i in range(size):
         place[states[i]] = -1
-    return changed, leaves
+    return leaves
 
 
 @compiled_loop
@@ -192,83 +176,6 @@ def _best_pair(
             if total < least:
                 pick, least = pair, total
     return pick, least, kept, size
-
-
-@compiled_loop
-def improve_blocks(
-    rows: Rows, order: Array, blocks: Array, is_forward: bool, most: int,
-    cost: Array, noise: float, floor: float, entering: Array, entering_offsets: Array, owner: Array,
-    choice: Array, values: Array, stale: Array,
-) -> int:  # fmt: skip
-    """Improve a policy block by block, in place, with the current values of other blocks.
-
-    A block is solved exactly and improved by Howard's rounds until none of its states changes. A
-    state is stale if a successor's value has changed since; blocks without stale states are
-    skipped.
-
-    Args:
-        rows: the process.
-        order: states, block by block, [states].
-        blocks: offsets of the blocks in the order, [blocks + 1].
-        is_forward: whether blocks are visited in order, otherwise from the last on.
-        most: number of states of the largest block.
-        cost: [pairs].
-        noise: relative gain up to which a pair is kept.
-        floor: absolute gain up to which a pair is kept.
-        entering: pairs that lead to each state, [entries].
-        entering_offsets: [states + 1].
-        owner: the state of each pair, [pairs].
-        choice: pair of each state, [states].
-        values: [states].
-        stale: [states].
-
-    Returns:
-        The number of changes of a pair.
-    """
-    inner, right = np.empty((most, most)), np.empty((most, 1))
-    low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
-    before, place = np.empty(most), np.full(values.size, -1, dtype=np.int32)
-    changed, last = 0, blocks.size - 2
-    for c in range(blocks.size - 1):
-        block = c if is_forward else last - c
-        begin, end = blocks[block], blocks[block + 1]
-        if end - begin > 1:
-            states = order[begin:end]
-            if stale[states].any():
-                before[: states.size] = values[states]
-                moved, _ = improve_component(
-                    rows, states, place, cost, noise, floor, _ROUNDS, choice, values,
-                    inner, low, leaving, right,
-                )  # fmt: skip
-                changed += moved
-                for i in range(states.size):
-                    if values[states[i]] != before[i]:
-                        _mark_entering(entering, entering_offsets, owner, states[i], stale)
-                stale[states] = False
-            continue
-        s = order[begin]
-        if not stale[s]:
-            continue
-        pick, least, kept, terms = _best_pair(rows, cost, values, s, choice[s])
-        old = values[s]
-        if least < kept - noise * terms - floor:
-            choice[s], values[s] = pick, least
-            changed += 1
-        elif kept < np.inf:
-            values[s] = kept
-        if values[s] != old:
-            _mark_entering(entering, entering_offsets, owner, s, stale)
-        stale[s] = False
-    return changed
-
-
-@compiled_loop
-def _mark_entering(
-    entering: Array, entering_offsets: Array, owner: Array, s: int, stale: Array
-) -> None:
-    """Mark the states that lead to a state whose value has changed as stale."""
-    for k in range(entering_offsets[s], entering_offsets[s + np.uint32(1)]):
-        stale[owner[entering[k]]] = True
 
 
 @compiled_loop

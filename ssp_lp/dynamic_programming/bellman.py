@@ -322,15 +322,28 @@ class Moves(NamedTuple):
             values: [states].
         """
         home, transitions, exits = self
-        if not accelerated(len(transitions.indices), "equations.advantages_safely"):
-            return self.advantage_bounds(cost, values)[0]
-        from ssp_lp.compiled.equations import advantages_safely
+        if accelerated(len(transitions.indices), "equations.advantages_safely"):
+            from ssp_lp.compiled.equations import advantages_safely
 
-        result = np.empty(len(cost))
-        parts = unsigned_parts(home, transitions)
-        run = advantages_safely(len(transitions.indices))
-        run(*parts, exits, cost, values, MACHINE_EPSILON, result)
-        return result
+            result = np.empty(len(cost))
+            parts = unsigned_parts(home, transitions)
+            run = advantages_safely(len(transitions.indices))
+            run(*parts, exits, cost, values, MACHINE_EPSILON, result)
+            return result
+        here, lengths = values[home], np.diff(transitions.indptr)
+        terms = transitions.data * (values[transitions.indices] - np.repeat(here, lengths))
+        places, shape = (transitions.indices, transitions.indptr), transitions.shape
+        ones = np.ones(shape[1])
+        total = sp.csr_array((terms, *places), shape) @ ones
+        whole = sp.csr_array((np.abs(terms), *places), shape) @ ones
+        leaving = exits * here
+        at_once = cost - leaving
+        result = at_once + total
+        rounded = np.abs(at_once) + np.where(exits == 1.0, 0.0, np.abs(leaving))
+        rounded[exits == 0.0] = 0.0
+        rounded += np.where(whole == 0.0, 0.0, (lengths + 1.0) * whole + np.abs(result))
+        lower: FloatArray = result - 0.51 * MACHINE_EPSILON * rounded  # half, and their products
+        return lower
 
     def advantage_bounds(
         self, cost: FloatArray, values: FloatArray
@@ -341,21 +354,4 @@ class Moves(NamedTuple):
             cost: [pairs].
             values: [states].
         """
-        home, transitions, exits = self
-        if accelerated(len(transitions.indices), "equations.advantages_safely"):
-            return self.safe_advantages(cost, values), -self.safe_advantages(-cost, -values)
-        here, lengths = values[home], np.diff(transitions.indptr)
-        terms = transitions.data * (values[transitions.indices] - np.repeat(here, lengths))
-        shape, ones = transitions.shape, np.ones(transitions.shape[1])
-        total, whole = (
-            sp.csr_array((part, transitions.indices, transitions.indptr), shape=shape) @ ones
-            for part in (terms, np.abs(terms))
-        )
-        leaving = exits * here
-        at_once = cost - leaving
-        result = at_once + total
-        rounded = np.abs(at_once) + np.where(exits == 1.0, 0.0, np.abs(leaving))
-        rounded[exits == 0.0] = 0.0
-        rounded += np.where(whole == 0.0, 0.0, (lengths + 1.0) * whole + np.abs(result))
-        rounding = 0.51 * MACHINE_EPSILON * rounded  # beyond a half for products of roundings
-        return result - rounding, result + rounding
+        return self.safe_advantages(cost, values), -self.safe_advantages(-cost, -values)

@@ -18,12 +18,7 @@ import scipy.sparse as sp
 from scipy.linalg import solve_triangular
 from scipy.sparse import csgraph, linalg
 
-from ssp_lp.arrays import (
-    FloatArray,
-    IntArray,
-    offsets_of,
-    unsigned,
-)
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of, unsigned
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.errors import SolverError

@@ -30,12 +30,7 @@ from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, safe_minima
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_chain
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
-from ssp_lp.dynamic_programming.evaluation import (
-    NEARLY,
-    PROVED,
-    PROVED_OF_MANY,
-    RUN_ACCURACY,
-)
+from ssp_lp.dynamic_programming.evaluation import NEARLY, PROVED, PROVED_OF_MANY, RUN_ACCURACY
 from ssp_lp.dynamic_programming.policy_iteration import improve_backwards, iterate_policy
 from ssp_lp.errors import SolverError
 from ssp_lp.model.graph import nearer_pairs

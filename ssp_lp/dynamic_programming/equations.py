@@ -17,12 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph, linalg
 
-from ssp_lp.arrays import (
-    FloatArray,
-    IntArray,
-    offsets_of,
-    unsigned,
-)
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of, unsigned
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import Moves
@@ -357,7 +352,10 @@ def strong_components(
     """
     n = len(indptr) - 1
     if accelerated(len(indices), *COMPONENTS, *(BY_HEIGHT if by_height else ())):
-        return _compiled_components(indptr[:-1], indptr[1:], indices, data, by_height=by_height)
+        from ssp_lp.compiled.graphs import order_components
+
+        label, order, count = order_components(indptr, indices, data, by_height=by_height)
+        return StrongComponents(label, order, offsets_of(np.bincount(label, minlength=count)))
     graph = sp.csr_array((data, indices, indptr), shape=(n, n))
     edges: sp.csr_array = graph.copy()  # scipy needs edges without duplicates and zeros
     edges.sum_duplicates()
@@ -368,25 +366,3 @@ def strong_components(
         raise SolverError("the strong components that scipy found are in no topological order")
     order = np.argsort(label, kind="stable").astype(np.int32)
     return StrongComponents(label, order, offsets_of(np.bincount(label)))
-
-
-def chosen_components(rows: sp.csr_array, choice: IntArray) -> StrongComponents:
-    """Find the strong components of ``rows[choice]`` by a compiled search without copying rows.
-
-    Args:
-        rows: [pairs, states].
-        choice: [states].
-    """
-    begin, end = rows.indptr[choice], rows.indptr[1:][choice]
-    return _compiled_components(begin, end, rows.indices, rows.data)
-
-
-def _compiled_components(
-    begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
-) -> StrongComponents:
-    """Find strong components by a compiled search."""
-    from ssp_lp.compiled.graphs import order_components
-
-    label, order, count = order_components(begin, end, indices, data, by_height=by_height)
-    sizes = np.bincount(label, minlength=count)
-    return StrongComponents(label, order, offsets_of(sizes))

@@ -19,14 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import (
-    MACHINE_EPSILON,
-    FloatArray,
-    IntArray,
-    exact_sum,
-    unsigned,
-    weighted,
-)
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, exact_sum, unsigned, weighted
 from ssp_lp.compiled.accelerator import with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS

@@ -2,10 +2,9 @@
 
 A process of small components is solved in one pass, ends first; others by Howard's rounds, whose
 evaluations become exact as the gains shrink. Rounds alone are as many as a run is long. So the
-policy is also improved in place between two rounds: along its chain's components, ends first and
-back, if they are small, otherwise by Bellman backups in the order of the values. Gains spread in
-both directions: to the predecessors of a state, which come later if ends come first, and in the
-other direction once a better pair leads to states that were not successors before.
+policy is also improved in place between two rounds, by Bellman backups in the order of the values,
+forward and backward. Gains spread in both directions: to the predecessors of a state, which come
+later in that order, and back once a better pair leads to states that were no successors before.
 
 The last policy is evaluated with a verified bound of its error. If the process is left so rarely
 that double precision cannot compare two pairs, improvement continues in twice that precision: the
@@ -31,18 +30,11 @@ from ssp_lp.arrays import (
     weighted,
 )
 from ssp_lp.compiled.accelerator import accelerated, with_twin
-from ssp_lp.compiled.deadline import STOPS, Stop, check_time, end_with_incumbent, pieces
+from ssp_lp.compiled.deadline import STOPS, Stop, check_time, end_with_incumbent
 from ssp_lp.dynamic_programming.bellman import Backup, Work, best_pairs
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_chain
-from ssp_lp.dynamic_programming.equations import (
-    COMPONENTS,
-    DIRECT_STATES,
-    EXACT,
-    EXACTLY_SOLVED,
-    System,
-    chosen_components,
-)
+from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT, System
 from ssp_lp.dynamic_programming.evaluation import (
     NEARLY,
     PRECISE,
@@ -69,9 +61,7 @@ _STEADY = 0.3
 _SWEEPS = 20  # most sweeps between two evaluations
 _LEAST_SWEEPS = 6
 _DIRECT = 2  # most passes over a chain by an evaluation that does not iterate
-_FEW_CHANGES = 0.05  # share of changed states above which sweeps are better than passes
-_IN_PLACE = "policy_improvement.improve_blocks", "policy_improvement.improve_states", *COMPONENTS
-_MOST_PASSES = 40  # most passes along a chain, in both directions
+_IN_PLACE = "policy_improvement.improve_states"
 _RISEN = 10.0  # growth of the values that no improvement can cause
 
 
@@ -214,17 +204,13 @@ def howard_rounds(
             raise SolverError("policy iteration does not converge, as policies repeat")
         before, changed_before, changed = choice, changed, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
-        if changed > _STEADY * changed_before and accelerated(dynamics.n_entries, *_IN_PLACE):
-            in_place, backups = (evaluation.pair_cost, choice, values, floor), 0
-            if system.is_solved_exactly and changed <= _FEW_CHANGES * dynamics.n_states:
-                backups = improve_along_chain(dynamics, *in_place)
-            if not backups:  # for about as long as the last evaluation, if that was iterative
-                share = system.n_entries / max(dynamics.n_entries, 1)
-                as_long = max(int(products * share), _LEAST_SWEEPS)
-                sweeps = min(as_long, _SWEEPS) if products > _DIRECT else _SWEEPS
-                exact = system.is_solved_exactly
-                backups = dynamics.improve_by_sweeps(*in_place, sweeps, is_sorted_anew=exact)
-            work = work + Work(backups, 0)
+        if changed > _STEADY * changed_before and accelerated(dynamics.n_entries, _IN_PLACE):
+            # for about as long as the last evaluation, if that was iterative
+            share, exact = system.n_entries / max(dynamics.n_entries, 1), system.is_solved_exactly
+            as_long = max(int(products * share), _LEAST_SWEEPS)
+            sweeps = min(as_long, _SWEEPS) if products > _DIRECT else _SWEEPS
+            in_place = evaluation.pair_cost, choice, values, floor, sweeps
+            work = work + Work(dynamics.improve_by_sweeps(*in_place, is_sorted_anew=exact), 0)
 
 
 def greatest_gain(backup: Backup) -> float:
@@ -306,51 +292,6 @@ class _Evaluation:
         if self._is_evaluated and self.totals is not None:
             return self.totals
         return system.solve(self.rewards[choice], self.totals)
-
-
-def improve_along_chain(
-    dynamics: Dynamics,
-    pair_cost: FloatArray,
-    choice: IntArray,
-    values: FloatArray,
-    floor: float = 0.0,
-) -> int:
-    """Improve a policy along its chain, in place, forward and backward.
-
-    Each pass recomputes the components of the current policy's chain.
-
-    Args:
-        dynamics: the process.
-        pair_cost: [pairs].
-        choice: pair of each state of a policy that leaves, [states].
-        values: values that are at least the policy's, [states].
-        floor: gain of a step that counts as none.
-
-    Returns:
-        The number of backups of all states; 0 if the components are too large.
-    """
-    from ssp_lp.compiled.policy_improvement import improve_blocks
-
-    before, stale = dynamics.graph.predecessors, np.ones(dynamics.n_states, dtype=np.bool_)
-    backups, changed = 0, 1
-    while changed and backups < _MOST_PASSES:
-        components, changed = chosen_components(dynamics.transitions, choice), 0
-        count = components.n_components
-        if components.largest > EXACTLY_SOLVED:
-            break
-        for is_forward in (True, False):
-            for some in pieces(count, dynamics.transitions.nnz):
-                begin, end = some.start, some.stop
-                if not is_forward:
-                    begin, end = count - end, count - begin
-                changed += improve_blocks(
-                    dynamics.rows, unsigned(components.order), components.offsets[begin : end + 1],
-                    is_forward, components.largest, pair_cost, IMPROVEMENT, floor,
-                    unsigned(before.pairs), before.offsets, unsigned(dynamics.pair_state),
-                    choice.view(np.uint32), values, stale,
-                )  # fmt: skip
-        backups += 2
-    return backups
 
 
 def improve_backwards(
