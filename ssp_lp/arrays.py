@@ -103,7 +103,7 @@ class ReadOnlyCopies:
 
 
 def fields_of(record: Any, declared: Any) -> dict[str, Any]:
-    """Return the values of a dataclass's declared fields in a record, by name, not copied."""
+    """Return the fields that a dataclass declares with their values in a record, not copied."""
     return {part.name: getattr(record, part.name) for part in fields(declared)}
 
 

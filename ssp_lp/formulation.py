@@ -25,7 +25,7 @@ from ssp_lp.accumulated_cost.charges import (
     Utility as Utility,
     WithinBound as WithinBound,
 )
-from ssp_lp.arrays import IntArray, fields_of
+from ssp_lp.arrays import IntArray
 from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
     CompiledExplicit,
@@ -153,9 +153,9 @@ class Formulation(Problem):
     def __repr__(self) -> str:
         """Return a line with the class, the model, the start, and all non-default arguments."""
         arguments, stated = [], as_stated(self)
-        values = fields_of(self, self) | stated
         for part in sorted(fields(self), key=lambda part: part.kw_only is True):
-            is_budget, value = part.name in stated, values[part.name]
+            is_budget = part.name in stated
+            value = stated[part.name] if is_budget else getattr(self, part.name)
             needed = part.default is MISSING and part.default_factory is MISSING
             default = None if is_budget else part.default
             if part.default_factory is not MISSING:

@@ -59,20 +59,10 @@ class Run:
     reason: str  # why this method was chosen, and what it did
     pricing_calls: int
     seconds: float
-    work: Work = field(default_factory=Work)  # passes over the process
+    work: Work = field(default_factory=Work)  # Bellman sweeps, and products with a policy's rows
     program: str = ""  # the linear program's own report, where one was solved
     time_limit: float | None = None  # seconds of the call, and of numbers computed later
     deterministic: bool = False  # whether the best policy that is not mixed was sought
-
-    @property
-    def backups(self) -> int:
-        """Bellman sweeps of the run: backups of all pairs of a process, or of one layer."""
-        return self.work.backups
-
-    @property
-    def products(self) -> int:
-        """Products with a policy's rows in the run; each costs a share of a sweep."""
-        return self.work.products
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -422,7 +422,7 @@ _DUST = 8.0 * MACHINE_EPSILON  # rounding error of a difference, relative to the
 class Counting:
     """Coefficients of costs, arrivals and ends at the pairs of a process, and at its source.
 
-    Start mass on goals and dead-ends enters through the source (``programs.augmented``). The
+    Start mass on goals and dead-ends enters through the source (``failure_label.with_start``). The
     second number of every result is the coefficient there.
     """
 
