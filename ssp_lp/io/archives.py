@@ -459,14 +459,10 @@ class _PolicyRecords:
         stated = model
         if (labelled := model.failure_label) is not None:
             stated, n = labelled.original, labelled.n_original
-            label = {
-                "open_pairs": self.add_array(labelled.open_pairs),
-                "charged": self.add_array(labelled.charged),
-                "costs": self.add_array(labelled.costs),
-                "free_pairs": self.add_array(labelled.free_pairs),
-                "stops": self.add_array(labelled.stops[:n]),
-                "charges": labelled.charges,
-            }
+            arrays = attributes_of(labelled, "open_pairs", "charged", "costs", "free_pairs")
+            arrays["stops"] = labelled.stops[:n]
+            masks = {name: self.add_array(array) for name, array in arrays.items()}
+            label = {**masks, "charges": labelled.charges}
         if isinstance(stated, HorizonSSP):
             begin = np.flatnonzero(stated.table[:, 0] >= 0)
             horizon = {
