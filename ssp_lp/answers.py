@@ -107,7 +107,7 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Answers(Report):
-    """Answers to many problems, in their order: each a solution, or the error in its place."""
+    """Answers to many problems, in the order of the problems: a solution or an error each."""
 
     problems: tuple[Problem, ...]
     answers: tuple[Answer, ...]
@@ -181,7 +181,7 @@ _FRAME_ONLY = "bound", "gap", "seconds", "error"  # columns that are not printed
 
 
 def _plain(value: Any) -> Any:
-    """Return an argument as a table shows it."""
+    """Return an argument of a problem in the form that a table shows."""
     return value if value is None or isinstance(value, str) or is_number(value) else in_short(value)
 
 
@@ -316,7 +316,7 @@ def _answers_to(
 
 
 class _Order(NamedTuple):
-    """Conditions of each answer: the options of ``solve``, and the end of the total time."""
+    """Options of ``solve`` for each problem, and the end of the time for all problems."""
 
     method: Method | str | None
     tolerance: float

@@ -17,6 +17,9 @@ BoolArray = npt.NDArray[np.bool_]
 
 MACHINE_EPSILON: Final = float(np.finfo(np.float64).eps)
 
+ROUNDED: Final = 1e-14
+"""Rounding error of a sum or difference of few numbers, relative to the largest of them."""
+
 PROBABILITY_SUM: Final = 1e-9
 """Largest deviation from 1 of a sum of probabilities that is divided out; beyond it, an error."""
 
@@ -103,7 +106,7 @@ class ReadOnlyCopies:
 
 
 def fields_of(record: Any, declared: Any) -> dict[str, Any]:
-    """Return the values of a dataclass's declared fields in a record, by name, not copied."""
+    """Return the fields that a dataclass declares with their values in a record, not copied."""
     return {part.name: getattr(record, part.name) for part in fields(declared)}
 
 

@@ -23,6 +23,7 @@ _NAMED = 8  # names listed in an error if none is similar
 _DIGITS = 1_024 // 3  # of a number in an error: a few more than the greatest float has
 _MOST_COUNTED = 2**63 - 1
 _LOOKED_AT = 20_000  # names that are compared, so that a hint is found quickly
+_ABSENT = object()  # instead of an attribute that does not exist
 
 
 class Argument(NamedTuple):
@@ -159,8 +160,9 @@ def wrong_argument(name: str, wanted: str, given: object, hint: str = "") -> Mod
 
 
 def attributes_of(thing: object, *names: str) -> dict[str, Any]:
-    """Return those attributes that a foreign object, or a wrong argument, has, by name."""
-    return {name: getattr(thing, name) for name in names if hasattr(thing, name)}
+    """Return the attributes of these names that an object has; it may be of any library."""
+    found = {name: getattr(thing, name, _ABSENT) for name in names}
+    return {name: value for name, value in found.items() if value is not _ABSENT}
 
 
 def is_number(value: object) -> TypeGuard[float]:

@@ -18,7 +18,7 @@ from ssp_lp.analysis.evaluation import (
 )
 from ssp_lp.analysis.explanation import Explanation, explanation
 from ssp_lp.analysis.what_if import Number, WhatIf, what_if
-from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies, read_only
+from ssp_lp.arrays import ROUNDED, FloatArray, IntArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.column import least_of, relative_gap
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit, GoalFacts
 from ssp_lp.dynamic_programming.bellman import Work
@@ -59,20 +59,10 @@ class Run:
     reason: str  # why this method was chosen, and what it did
     pricing_calls: int
     seconds: float
-    work: Work = field(default_factory=Work)  # passes over the process
+    work: Work = field(default_factory=Work)  # Bellman sweeps, and products with a policy's rows
     program: str = ""  # the linear program's own report, where one was solved
     time_limit: float | None = None  # seconds of the call, and of numbers computed later
     deterministic: bool = False  # whether the best policy that is not mixed was sought
-
-    @property
-    def backups(self) -> int:
-        """Bellman sweeps of the run: backups of all pairs of a process, or of one layer."""
-        return self.work.backups
-
-    @property
-    def products(self) -> int:
-        """Products with a policy's rows in the run; each costs a share of a sweep."""
-        return self.work.products
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -266,8 +256,7 @@ class Solution(Facts, ReadOnlyCopies):
         The bound of the objective holds for policies that fail least: where this gap is not 0,
         other policies may fail less.
         """
-        bound = self.least_failure_bound
-        return 0.0 if bound is None else gap_of_least_failure(self.budget_used, bound)
+        return gap_of_least_failure(self.budget_used, self.least_failure_bound)
 
     @property
     def failure_probability(self) -> float:
@@ -541,7 +530,7 @@ def gap_of_least_failure(failure: float, bound: float | None) -> float:
         bound: of every policy's failure; None: the problem does not ask for least failure.
     """
     proved = failure if bound is None else bound
-    return relative_gap(1.0 - proved, 1.0 - failure) if failure - proved > _ROUNDED else 0.0
+    return relative_gap(1.0 - proved, 1.0 - failure) if failure - proved > ROUNDED else 0.0
 
 
 def unproved_failure(failure: float, bound: float | None) -> str:
@@ -550,8 +539,6 @@ def unproved_failure(failure: float, bound: float | None) -> str:
         return ""
     return f"between {bound:.9g} and {failure:.9g}, not proved further"
 
-
-_ROUNDED = 1e-14  # of probabilities: error of their sums and differences
 
 CUT_SHORT = "stopped before the tolerance was met; the gap is still certified"
 """Note on every search that ran out of time, or was interrupted."""

@@ -136,20 +136,20 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
     _SEARCH.info("%s: %d pricing calls, objective %.9g", *figures)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
     _PROOF.info("bound %.9g, relative gap %.1e", bound, solution.gap)
-    note, tolerance = solution.note, options.tolerance
+    notes, tolerance = [solution.note], options.tolerance
     if solution.budget_used >= 1.0:
-        far = goal_out_of_reach(inner.model, inner.start_mass)
-        note = "; ".join(filter(None, [far, note]))
+        notes.insert(0, goal_out_of_reach(inner.model, inner.start_mass))
     if solution.least_failure_bound is not None and solution.failure_gap > PROVED_OF_MANY:
         shown = f"{solution.failure_gap:.1e}: some policy may fail less than this one"
-        note = "; ".join(filter(None, [note, f"the least failure is proved only up to {shown}"]))
-    elif not note and solution.gap > tolerance:
-        note = f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
+        notes.append(f"the least failure is proved only up to {shown}")
+    elif not any(notes) and solution.gap > tolerance:
+        notes.append(f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}")
     demanding = [limit for limit in inner.conditions if limit.lower is not None]
     if demanding:
         strictest = max(demanding, key=lambda limit: limit.least_goal)
-        note = "; ".join(filter(None, [note, _redundant_budget(inner.failure_budget, strictest)]))
-    return replace(solution, note=note, status=deadline.status(solution.gap, tolerance))
+        notes.append(_redundant_budget(inner.failure_budget, strictest))
+    note, status = "; ".join(filter(None, notes)), deadline.status(solution.gap, tolerance)
+    return replace(solution, note=note, status=status)
 
 
 def _redundant_budget(budget: float | None, limit: Condition) -> str:

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.arrays import ROUNDED, BoolArray, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import pairs_into
@@ -32,9 +32,6 @@ RESERVED = {
     "normaliser": "the row that makes a ratio linear",
 }
 """Names of rows that every program has, with their meaning."""
-
-
-_ROOM = 1e-14  # relative rounding error of a bound and of its complement
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,10 +187,10 @@ class Condition:
             name = self.name if self.upper is None else f"{self.name}, at least"
             row = self._row(name, -1.0, -self.lower)
             if self.lower == self.upper:  # rounded complements must not contradict each other
-                room = _ROOM * max(abs(row.offset), abs(row.bound))
+                room = ROUNDED * max(abs(row.offset), abs(row.bound))
                 own = row.direct
                 if own is not None:
-                    own = replace(own, bound=own.bound + _ROOM * abs(own.bound))
+                    own = replace(own, bound=own.bound + ROUNDED * abs(own.bound))
                 row = replace(row, bound=row.bound + room, direct=own)
             rows.append(row)
         return tuple(rows)
@@ -231,7 +228,7 @@ class Condition:
             direct = UpperRow(name, told, plain, 0.0, less, self, sign, offset=-constant)
         shift = max(-constant, 0.0)  # no coefficient may be negative
         size, bound = max(offset, shift, abs(bound)), bound + offset + shift
-        bound = 0.0 if -_ROOM * size <= bound < 0.0 else bound  # rounding of the complement
+        bound = 0.0 if -ROUNDED * size <= bound < 0.0 else bound  # rounding of the complement
         offset += shift
         told = f"{f'{offset:g} ' if offset else ''}{'+' if sign > 0.0 else '-'} {self.name}"
         told = self.name if sign > 0.0 and offset == 0.0 else told

@@ -24,6 +24,7 @@ from ssp_lp.arrays import (
     LEAST_BUDGET,
     MACHINE_EPSILON,
     PROBABILITY_SUM,
+    ROUNDED,
     BoolArray,
     FloatArray,
     segment_minima,
@@ -138,7 +139,6 @@ class FailureSemantics:
 
 
 _MOST_NAMED = 3  # most states of a start in an error
-_ROUNDED = 2e-14  # rounding error of a difference, relative to its terms
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class ObjectiveSense:
         """
         taken = abs(self.offset if self.constant is None else self.constant)
         taken = max(taken, paid) if taken > 0.0 else 0.0  # 0 if the objective is not a difference
-        return value if abs(value - bound) <= _ROUNDED * taken else bound
+        return value if abs(value - bound) <= 2.0 * ROUNDED * taken else bound
 
 
 AS_ASKED = ObjectiveSense()
@@ -422,7 +422,7 @@ _DUST = 8.0 * MACHINE_EPSILON  # rounding error of a difference, relative to the
 class Counting:
     """Coefficients of costs, arrivals and ends at the pairs of a process, and at its source.
 
-    Start mass on goals and dead-ends enters through the source (``programs.augmented``). The
+    Start mass on goals and dead-ends enters through the source (``failure_label.with_start``). The
     second number of every result is the coefficient there.
     """
 

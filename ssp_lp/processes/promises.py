@@ -17,10 +17,11 @@ from ssp_lp.accumulated_cost.totals import MOST_SUMS, room_of, sums_of
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.errors import ModelError, in_short, is_number
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.task import Task
 from ssp_lp.model.tracked_product import Automaton, TrackedSSP
 from ssp_lp.processes.conditions import ArrivalTerm
-from ssp_lp.processes.quantities import Followed, Quantity, QuantityFunction, run_amounts
+from ssp_lp.processes.quantities import Followed, Quantity, run_amounts
 
 _ROUNDING = 8.0 * MACHINE_EPSILON
 
@@ -87,7 +88,7 @@ class _Total(Followed):
         return ArrivalTerm(product, product.goal_mask & (value < over), final=True)
 
 
-@QuantityFunction
+@explained
 def within(quantity: Quantity, bound: float) -> Quantity:
     """Return the quantity "probability of reaching the goal with a total of at most a bound".
 
@@ -104,7 +105,7 @@ def within(quantity: Quantity, bound: float) -> Quantity:
     return _promise("within", quantity, bound, passes=False)
 
 
-@QuantityFunction
+@explained
 def exceeds(quantity: Quantity, bound: float) -> Quantity:
     """Return the quantity "probability that the total of a run exceeds a bound".
 
@@ -139,7 +140,7 @@ class _Traces(Followed):
         return ArrivalTerm(product, product.goal_mask & self.task.satisfied(product), final=True)
 
 
-@QuantityFunction
+@explained
 def holds(task: Task) -> Quantity:
     """Return the quantity "probability of reaching the goal with a trace that satisfies a task".
 

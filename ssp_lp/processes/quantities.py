@@ -14,10 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import update_wrapper
-from inspect import signature
 from math import isfinite
-from typing import Generic, ParamSpec
 
 import numpy as np
 import numpy.typing as npt
@@ -40,8 +37,6 @@ from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.tracked_product import Automaton, TrackedSSP, followed_in
 from ssp_lp.processes.conditions import OBJECTIVE, RESERVED, ArrivalTerm, Condition, StepTerm, Term
 from ssp_lp.processes.past_failing import past_failing_term
-
-_Given = ParamSpec("_Given")
 
 NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
@@ -235,45 +230,13 @@ class Constraint:
         )
 
 
-class QuantityFunction(Generic[_Given]):
-    """A function that makes a quantity; using it in an expression uncalled is an error."""
-
-    def __init__(self, make: Callable[_Given, Quantity]) -> None:
-        update_wrapper(self, make)
-        self._make = explained(make)
-
-    def __call__(self, *arguments: _Given.args, **named: _Given.kwargs) -> Quantity:
-        """Make the quantity."""
-        return self._make(*arguments, **named)
-
-    def __reduce__(self) -> str:
-        """Return the name, by which functions are pickled."""
-        return self._make.__qualname__
-
-    def __repr__(self) -> str:
-        """Return the function's name and signature."""
-        return f"{self._make.__name__}{signature(self._make)}"
-
-    def _uncalled(self, other: object) -> Quantity:
-        """Raise an error, as the function has not been called.
-
-        Raises:
-            ModelError: always.
-        """
-        name = self._make.__name__
-        inside = "..." if signature(self._make).parameters else ""
-        raise ModelError(f"{name} is a function: call it, such as {name}({inside}) <= 5")
-
-    __le__ = __ge__ = __lt__ = __gt__ = __add__ = __radd__ = __mul__ = __rmul__ = _uncalled
-
-
-@QuantityFunction
+@explained
 def expected_cost() -> Quantity:
     """Return the quantity "expected total cost", counted as the criterion counts costs."""
     return Quantity(((1.0, _StageCosts()),))
 
 
-@QuantityFunction
+@explained
 def secondary_cost(
     cost: NestedCosts | npt.ArrayLike | str, *, through_failure: bool = False
 ) -> Quantity:
@@ -288,7 +251,7 @@ def secondary_cost(
     return Quantity(((1.0, _StageCosts(cost, through_failure)),))
 
 
-@QuantityFunction
+@explained
 def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
     """Return the quantity "expected visits" of some states: entering, starting, staying.
 
@@ -307,7 +270,7 @@ def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
     return Quantity(((1.0, _Visits(states, through_failure)),))
 
 
-@QuantityFunction
+@explained
 def end_probability(*ways: Hashable) -> Quantity:
     """Return the quantity "probability that an episode ends in one of some ways".
 
@@ -324,19 +287,19 @@ def end_probability(*ways: Hashable) -> Quantity:
     return Quantity(((1.0, _Ends(ways)),))
 
 
-@QuantityFunction
+@explained
 def goal_probability() -> Quantity:
     """Return the quantity "probability of reaching the goal"."""
     return end_probability("goal")
 
 
-@QuantityFunction
+@explained
 def failure_probability() -> Quantity:
     """Return the quantity "probability of never reaching the goal"."""
     return Quantity(((1.0, _Ends(("goal",), others=True)),))
 
 
-@QuantityFunction
+@explained
 def arrival_cost(
     function: Callable[[FloatArray], FloatArray] | None = None, *, affine_from: float = 0.0
 ) -> Quantity:

@@ -20,6 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import (
+    CHUNK,
     BoolArray,
     FloatArray,
     IntArray,
@@ -39,8 +40,6 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, end_components, hopeless_states, nearer_pairs, pairs_into
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
-
-_TOGETHER = 1_000_000  # most decisions, states times layers, pulled back at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +182,7 @@ class Quotient:
 
             place_layers(choice, unsigned(first), self.pair_at, offsets, self.node_of, places)
             return places
-        live, several = (self.node_of >= 0).nonzero()[0], max(_TOGETHER // max(len(offsets), 1), 1)
+        live, several = (self.node_of >= 0).nonzero()[0], max(CHUNK // max(len(offsets), 1), 1)
         nodes, own, last = self.node_of[live], self.pair_offsets[:-1], self.pair_offsets[1:] - 1
         # the moves of a node's members depend on its pair alone
         most = int(np.diff(self.pair_offsets).max(initial=1))
@@ -336,11 +335,8 @@ class Spread:
         return np.bincount(self.place[own], weights=gone, minlength=size).astype(np.float64)
 
     def visits(self, flow: ModelFlow) -> FloatArray:
-        """Return the flow of the model at these pairs, [pairs]."""
-        given_up = flow.give_up[self.quotient.first_states[self.quotient.pair_node]]
-        return self.quotient.at_pairs(flow.pairs, 0.0) + np.where(
-            self.quotient.gives_up, given_up, 0.0
-        )
+        """Return the expected visits of the uncollapsed pairs in a flow of the model, [pairs]."""
+        return self.quotient.at_pairs(flow.pairs, flow.give_up[self.quotient.first_states])
 
 
 def spread_out(quotient: Quotient, departs: FloatArray) -> Spread | None:
@@ -460,7 +456,7 @@ def _flow_of_moves(
 def decisions(
     quotient: Quotient, flow: ModelFlow, otherwise: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return decisions on the model with their flows; states without flow get one of flow 1.
+    """Return the decisions of a flow, and a given decision with flow 1 where there is no flow.
 
     Args:
         quotient: the live part of the model.

@@ -127,8 +127,8 @@ def test_solutions_are_the_same_with_and_without(accelerate, criterion, discount
     assert compiled.objective == pytest.approx(plain.objective, rel=1e-12)
     assert max(compiled.gap, plain.gap) <= 1e-9
     assert compiled.failure_probability == pytest.approx(plain.failure_probability, abs=1e-12)
-    assert compiled.run.backups > 0
-    assert compiled.run.products > 0
+    assert compiled.run.work.backups > 0
+    assert compiled.run.work.products > 0
     if discount is None:  # the same loops once more, on all cores
         from ssp_lp.compiled.cores import on_all_cores
 

@@ -312,7 +312,7 @@ def test_a_slow_loop_takes_few_sweeps(give_up):
     problem = MCMP(model, "a", failure_budget=0.3, discount=0.999999, give_up=give_up)
     game = solve(problem, "game")
     assert game.gap <= 1e-9
-    assert game.run.backups <= 5_000
+    assert game.run.work.backups <= 5_000
     check_roads(problem)
 
 

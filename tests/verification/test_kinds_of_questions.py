@@ -286,12 +286,17 @@ def test_what_it_counts(criterion):
     assert str(found).startswith("read twice: 1 dead-ends, 1 states to give up in, 1 where")
 
 
+def _elsewhere(charges):
+    """Giving up allowed, free of charge, where it is not, and forbidden where it is."""
+    return np.where(np.isfinite(charges), np.inf, 0.0)
+
+
 @pytest.mark.parametrize(
     ("room", "wrong", "told"),
     [
         ("dead_end_charges", lambda right: 2.0 * right, "failing in 'swamp' charges 2, by the sec"),
         ("give_up_charges", lambda right: right + 1.0, "failing in 'a' charges 1, by the second"),
-        ("attention_states", np.logical_not, "is not a state to give up in"),
+        ("give_up_charges", _elsewhere, "is not a state to give up in"),
         ("hopeless_states", np.zeros_like, "'swamp' is not a dead-end"),
     ],
 )

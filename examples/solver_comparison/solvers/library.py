@@ -61,7 +61,7 @@ def _answer(solution: Solution, order: Order, failure_budget: float) -> Answer:
         note=joined(f"{run.pricing_calls} pricing calls", loops, solution.note),
         details=run.program,
         in_time=solution.gap <= order.tolerance or run.seconds < order.time_limit,
-        backups=run.backups,
-        products=run.products,
+        backups=run.work.backups,
+        products=run.work.products,
         excess=None if has_no_budget else lambda: max(solution.budget_used - failure_budget, 0.0),
     )
