@@ -61,7 +61,6 @@ from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
 from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import (
-    AS_ASKED,
     RARE_GOAL,
     Aim,
     FailureSemantics,
@@ -99,11 +98,6 @@ class CompiledProblem(ABC):
     discount: float | None  # None: exact
     ratio: bool  # whether the objective is cost / (1 - failure) (case S) rather than cost (case M)
     charge: Charge | None  # of the total cost at the goal; None: case M, no accumulated cost
-
-    @property
-    def sense(self) -> ObjectiveSense:
-        """Relation between the minimum and the objective that the user asked for."""
-        return AS_ASKED
 
     @property
     def lowest(self) -> float:

@@ -30,6 +30,7 @@ from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, RELATIVE_GAP, FloatArray, read_only
 from ssp_lp.column_generation.column import (
     Column,
+    FailureRow,
     PricingProblem,
     Proof,
     least_of,
@@ -266,11 +267,16 @@ def _rows_attempt(
         del named[FAILURE_ROW]
     granted, note = _granted(compiled, rows, generated.finished)
     paid = float(prices @ np.abs(rows.bounds))
-    return Optimum.of(
-        compiled,
-        rule,
-        generated,
-        program,
+    budget = 1.0 if compiled.budget is None else compiled.budget
+    return Optimum(
+        compiled=compiled,
+        row=FailureRow(budget, compiled.ratio),
+        generated=generated,
+        search=rule,
+        calls=pool.calls,
+        work=pool.work,
+        program="" if program is None else program.report,
+        sense=compiled.sense,
         policy=policy,
         value=value,
         bound=compiled.sense.settled_bound(value, least_of(bound, value), paid),
