@@ -407,6 +407,7 @@ def certified(master: Master, row: FailureRow, generated: Generated, tolerance: 
 
 _STEEP = 5.0  # first price of failure, in units of the first policy's cost
 _STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until columns lie on both sides
+_LEAST_FACTOR = 1.5  # least factor of a step
 _HINTED_STEPS = (1.0, 1e2, 1e4, 1e6)  # steps from a dual guess, in units of its spread
 
 
@@ -428,10 +429,9 @@ def master_at(pool: Pool, row: FailureRow, *known: Column | None) -> Master:
         known: first columns, of which the first satisfies the budget; None entries are ignored.
     """
     by_goal = pool.pricing.by_goal
-    for column in known:
-        if column is not None:
-            same = column.by_goal == by_goal
-            pool.columns.append(column if same else replace(column, by_goal=by_goal))
+    for column in filter(None, known):
+        same = column.by_goal == by_goal
+        pool.columns.append(column if same else replace(column, by_goal=by_goal))
     pool.forgets, rows = True, Rows.of_failure(row, pool.pricing)
     if row.ratio:
         rows = replace(rows, ratio=row.objective(pool.columns[0].cost, pool.columns[0].goal))
@@ -496,8 +496,15 @@ def columns_by_pricing(
             enough = one_sided or outside is not None or deadline.is_late()
             if step is None or (inside is not None and enough):
                 break
-            is_beyond, factor = row.spare(last) < 0.0, 1.0 + step
-            price = max(price, dearest) * factor if is_beyond else price / factor
+            size, ends = 1.0 + step, (last.failure, row.budget)
+            if row.is_rare:
+                ends = last.goal, row.demanded
+            if guess is None and min(ends) > 0.0:
+                # failure falls about as fast as the price rises: the square of their ratio
+                # overshoots, so that the columns lie on both sides, close together
+                ratio = max(ends) / min(ends)
+                size = min(max(ratio * ratio, _LEAST_FACTOR), size)
+            price = max(price, dearest) * size if row.spare(last) < 0.0 else price / size
             dearest = 0.0
     if search.stop:
         inside = last = _initial_column_within(pricing, row, search.stop, inside, last)
@@ -610,15 +617,6 @@ class Rows:
         bounds = np.full(int(row.demanded > 0.0), -row.demanded if pricing.by_goal else row.budget)
         ones = np.ones(len(bounds))
         return cls(ones.astype(np.int64), bounds, ones, pricing.n_rewards, pricing.by_goal)
-
-    def among(self, some: tuple[int, ...]) -> Rows:
-        """Return the rows at these positions."""
-        k = list(some)
-        return replace(self, index=self.index[k], bounds=self.bounds[k], scales=self.scales[k])
-
-    def relaxed(self, excess: FloatArray) -> Rows:
-        """Return the rows with bounds raised by an excess in units of the scales, [rows]."""
-        return replace(self, bounds=self.bounds + np.maximum(excess, 0.0) * self.scales)
 
     def weights(self, prices: FloatArray, cost: float = 1.0) -> FloatArray:
         """Return the weight of each reward, [rewards], from the prices of the rows and of cost."""

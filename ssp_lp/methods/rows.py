@@ -505,12 +505,12 @@ def phase_one(
     if not _kept_to(ended, rows):
         ended = _without_traces(ended, rows)
     if _kept_to(ended, rows):
-        raised = rows.relaxed(ended.excess)
+        raised = rows.bounds + np.maximum(ended.excess, 0.0) * rows.scales
         ratio = pool.first_ratio(ended) if compiled.ratio else 0.0
         return Master(
             pool,
-            replace(raised, ratio=ratio),
-            np.zeros(len(limited)),
+            replace(rows, bounds=raised, ratio=ratio),
+            np.zeros(limited.size),
             cheapest.cost,
             given_success=compiled.ratio,
             luck=_luck(compiled),
@@ -627,7 +627,9 @@ def _irreducible_conflict(
         rest = tuple(k for k in conflict.rows if k != row)
         if not rest or len(rest) == len(conflict.rows):
             continue
-        part = rows.among(rest)
+        kept = list(rest)
+        bounds, scales = rows.bounds[kept], rows.scales[kept]
+        part = replace(rows, index=rows.index[kept], bounds=bounds, scales=scales)
         elastic = Master(pool, part, np.zeros(len(rest)), elastic=True)
         ended = generate(elastic, options)
         smaller = None if _kept_to(ended, part) else _proved_conflict(pool, part, ended)
