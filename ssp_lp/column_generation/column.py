@@ -54,10 +54,6 @@ class Column:
         failure, goal = (1.0 - counted, counted) if by_goal else (counted, 1.0 - counted)
         return cls(cost, failure, goal, choice, rows=tuple(rows), by_goal=by_goal, **more)
 
-    def counting(self, *, by_goal: bool) -> Column:
-        """Return the column with minus the goal, or with failure, as its second reward."""
-        return self if self.by_goal == by_goal else replace(self, by_goal=by_goal)
-
     @cached_property
     def figures(self) -> FloatArray:
         """Rewards, [rewards]: cost, failure (or minus goal), and the value in each further row."""
@@ -164,10 +160,6 @@ class PricingProblem(ABC):
         """Return a column's cost on the model, beyond the cap included; None: unknown."""
         return None
 
-    def aligned(self, column: Column, price: float) -> Column:
-        """Return the column with its tails, if any, chosen at this price, and evaluated."""
-        return column
-
     @abstractmethod
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a dual bound: a lower bound of the priced value of every column.
@@ -228,6 +220,7 @@ class FailureRow:
     ratio: bool
     lowest: float = 0.0  # a lower bound of every objective
     demanded: float = field(init=False)  # least goal probability that the budget requires
+    by_goal: bool = field(init=False)  # columns count the goal: the smaller number is exact
     is_rare: bool = field(init=False)  # demanded is small: the goal replaces failure in the rewards
     rounding: float = field(init=False)  # feasibility tolerance: rounding of failure and budget
 
@@ -235,6 +228,7 @@ class FailureRow:
         budget = self.budget
         demanded = budget.demanded if isinstance(budget, GoalShare) else 1.0 - budget
         follows = vars(self)
+        follows["by_goal"] = demanded < 0.5
         follows["demanded"], follows["is_rare"] = demanded, 0.0 < demanded < RARE_GOAL
         follows["rounding"] = _SAME * max(min(budget, demanded), 0.0)
 
@@ -245,11 +239,6 @@ class FailureRow:
     def equal_to(self, least: Column) -> FailureRow:
         """Return the failure row with the least failure as the budget."""
         return replace(self, budget=GoalShare(least.goal) if self.is_rare else least.failure)
-
-    @property
-    def by_goal(self) -> bool:
-        """Whether columns count the goal rather than failure: the smaller number is exact."""
-        return self.demanded < 0.5
 
     def spare(self, column: Column) -> float:
         """Return the budget minus a column's failure, without cancellation; < 0: violated."""

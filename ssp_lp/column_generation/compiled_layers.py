@@ -237,13 +237,6 @@ class LayeredPricing(PricingProblem):
         cost += self.process.start_charge
         return Column(cost, failure, goal, choice, tail_price, work=work, by_goal=self.by_goal)
 
-    def aligned(self, column: Column, price: float) -> Column:
-        """Return the column with its tails chosen at this price, and evaluated."""
-        if column.choice is None:
-            return column
-        here, there = self.process.threshold(column.tail_price), self.process.threshold(price)
-        return column if np.array_equal(here, there) else self.measure(column.choice, price)
-
     def prove(
         self, price: float | FloatArray, best: Column | None = None, *, slack: bool = False
     ) -> Proof:

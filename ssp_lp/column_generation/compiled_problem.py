@@ -58,7 +58,6 @@ from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
 from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import (
-    AS_ASKED,
     RARE_GOAL,
     Aim,
     FailureSemantics,
@@ -149,11 +148,6 @@ class CompiledProblem(ABC):
     facts: GoalFacts  # of the model, the start and the discount
     ratio: bool  # whether the objective is cost / (1 - failure) (case S) rather than cost (case M)
     charge: Charge | None  # of the total cost at the goal; None: case M, no accumulated cost
-
-    @property
-    def sense(self) -> ObjectiveSense:
-        """Relation between the minimum and the objective that the user asked for."""
-        return AS_ASKED
 
     @property
     def model(self) -> SSP:

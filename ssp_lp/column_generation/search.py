@@ -53,7 +53,6 @@ from ssp_lp.column_generation.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.restricted_master import MasterOptimum, solve_master
 from ssp_lp.compiled import deadline
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import ModelError
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 
@@ -90,7 +89,7 @@ class Generated:
     @property
     def failure(self) -> float:
         """Failure probability of the lottery."""
-        return float(self.weights @ [column.failure for column in self.columns])
+        return float(self.weights @ [*map(attrgetter("failure"), self.columns)])
 
     @property
     def goal(self) -> float:
@@ -98,7 +97,7 @@ class Generated:
 
         It is the weighted sum of the members' goal probabilities, so that a small one is exact.
         """
-        return float(self.weights @ [column.goal for column in self.columns])
+        return float(self.weights @ [*map(attrgetter("goal"), self.columns)])
 
     @property
     def given_success(self) -> float:
@@ -188,21 +187,18 @@ class Master:
     _spent: float = 0.0  # seconds on proofs
     _since: float = field(default_factory=time.perf_counter)
 
-    @property
-    def failure_row(self) -> FailureRow:
-        """The failure row, if it is the only limit; else ModelError."""
-        if self.limit is None:
-            raise ModelError("a search with more limits than the budget needs the prices of all")
-        return self.limit
+    def begin_at_bound(self, budget: float) -> None:
+        """Set the prices and the bound to those of a column that is known to be optimal.
 
-    def begin_at_bound(self) -> None:
-        """Set the prices and the bound to those of a column that is known to be optimal."""
+        Args:
+            budget: of failure, the only limit.
+        """
         for column in self.pool.columns:
             if (price := column.found_at) is None or self.rows.by_goal:
                 continue
             self.solve()
             self.prices = np.full(len(self.prices), price - self.rows.ratio)
-            owed = float(self.prices.sum()) * self.failure_row.budget
+            owed = float(self.prices.sum()) * budget
             self.bound = column.cost + price * column.failure - owed
 
     def seek(self, tolerance: float) -> Column | None:
@@ -373,30 +369,20 @@ def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOpt
     return MasterOptimum(float(value), weights, prices, np.zeros(len(bounds)))
 
 
-def certified(master: Master, generated: Generated, tolerance: float) -> Generated:
+def certified(master: Master, row: FailureRow, generated: Generated, tolerance: float) -> Generated:
     """Return the result of a search with a failure row alone, with a certified bound.
 
-    Tails beyond a cap are first chosen at the final price, if the two columns then still lie on
-    both sides of the budget. Without time for a proof the best intermediate one is used, or the
-    bound -inf with infinite values, which a later certificate lowers.
+    Without time for a proof the best intermediate one is used, or the bound -inf with infinite
+    values, which a later certificate lowers.
 
     Args:
         master: of the search.
+        row: the failure row.
         generated: its result.
         tolerance: relative gap.
     """
-    row, pricing, pool = master.failure_row, master.pool.pricing, master.pool
+    pricing, pool, best = master.pool.pricing, master.pool, generated.objective
     price, last = generated.price, master.best or master.last or generated.columns[0]
-    if len(generated.columns) > 1 and deadline.has_time_for(pool.took):
-        with deadline.WithIncumbent(), deadline.closing():
-            inside = pricing.aligned(generated.columns[0], price)
-            outside = pricing.aligned(generated.columns[1], price)
-            if row.breaks(outside) and not row.breaks(inside):
-                pool.columns, master.lottery = [inside, outside], ((), np.zeros(0))
-                master.solve()
-                (columns, weights), value = master.lottery, master.objective
-                generated = replace(generated, columns=columns, weights=weights, objective=value)
-    best = generated.objective
     price = max(price, best) if row.ratio else price
     slack = row.ratio and price <= best  # then prove it just below it: FailureRow.lower_bound
     at = price * (1.0 - 0.25 * tolerance) if slack else price
@@ -443,7 +429,9 @@ def master_at(pool: Pool, row: FailureRow, *known: Column | None) -> Master:
         known: first columns, of which the first satisfies the budget; None entries are ignored.
     """
     by_goal = pool.pricing.by_goal
-    pool.columns = [column.counting(by_goal=by_goal) for column in known if column is not None]
+    for column in filter(None, known):
+        same = column.by_goal == by_goal
+        pool.columns.append(column if same else replace(column, by_goal=by_goal))
     pool.forgets, rows = True, Rows.of_failure(row, pool.pricing)
     if row.ratio:
         rows = replace(rows, ratio=row.objective(pool.columns[0].cost, pool.columns[0].goal))
@@ -525,7 +513,7 @@ def columns_by_pricing(
     master = master_at(pool, row, inside, outside)
     master.last, master.tried = last, np.array([1.0, price])
     if row.ratio:
-        master.begin_at_bound()
+        master.begin_at_bound(row.budget)
     return master
 
 
@@ -584,7 +572,7 @@ def lottery_within(
     Returns:
         None if no lottery satisfies the rows and, if ``ratio``, reaches the goal.
     """
-    counted = [column.counting(by_goal=rows.by_goal) for column in columns]
+    counted = [replace(column, by_goal=rows.by_goal) for column in columns]
     pool, none = Pool(pricing, counted), np.zeros(len(rows.index))
     elastic = Master(pool, rows, none, elastic=True)
     elastic.solve()
@@ -629,15 +617,6 @@ class Rows:
         bounds = np.full(int(row.demanded > 0.0), -row.demanded if pricing.by_goal else row.budget)
         ones = np.ones(len(bounds))
         return cls(ones.astype(np.int64), bounds, ones, pricing.n_rewards, pricing.by_goal)
-
-    def among(self, some: tuple[int, ...]) -> Rows:
-        """Return the rows at these positions."""
-        k = list(some)
-        return replace(self, index=self.index[k], bounds=self.bounds[k], scales=self.scales[k])
-
-    def relaxed(self, excess: FloatArray) -> Rows:
-        """Return the rows with bounds raised by an excess in units of the scales, [rows]."""
-        return replace(self, bounds=self.bounds + np.maximum(excess, 0.0) * self.scales)
 
     def weights(self, prices: FloatArray, cost: float = 1.0) -> FloatArray:
         """Return the weight of each reward, [rewards], from the prices of the rows and of cost."""

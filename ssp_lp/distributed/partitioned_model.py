@@ -313,12 +313,9 @@ class PartitionedModel:
             exactly = replace(options, tolerance=finer * options.tolerance)
             found = refined_optimum(compiled, compiled.budget, exactly, guess)
             prices = {FAILURE_ROW: found.price}
-        lottery = found.policy
+        lottery, bound = found.policy, compiled.sense.settled_bound(found.value, found.bound)
         reason = f"column generation on {self.ranks.comm.size} ranks, {found.calls} pricing calls"
-        seconds, bound = (
-            time.perf_counter() - began,
-            compiled.sense.settled_bound(found.value, found.bound),
-        )
+        seconds = time.perf_counter() - began
         positions = np.stack([one.positions for one in lottery.policies])
         return PartitionedSolution(
             **_figures(compiled, lottery.weights, lottery.policies),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import methodcaller
 
 import numpy as np
 
@@ -117,7 +118,7 @@ APPROACHES = (
 
 def approach_to(case: Case) -> _Approach:
     """Return the approach that answers a case."""
-    return next(approach for approach in APPROACHES if approach.answers(case))
+    return next(filter(methodcaller("answers", case), APPROACHES))
 
 
 def refusal(problem: Problem, method: options.Method) -> ModelError | None:

@@ -17,8 +17,6 @@ from ssp_lp.column_generation.compiled_problem import (
 )
 from ssp_lp.column_generation.search import (
     DualGuess,
-    Generated,
-    Master,
     Pool,
     certified,
     columns_by_pricing,
@@ -36,7 +34,7 @@ from ssp_lp.compiled.deadline import (
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.deterministic import best_deterministic
-from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_program
+from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.methods.refinement import (
     SPREAD,
     TRIAL_TOLERANCE,
@@ -371,9 +369,9 @@ def _safest_optimum(
         raise Stop from stop
     with WithIncumbent(), closing():
         least = checked_least_failure(compiled, row.budget) if least is None else least
-        master = master_at(Pool(compiled.pricing()), row.raised_to(least.column), least.column)
-        generated = replace(generate(master, SolveOptions(TRIAL_TOLERANCE)), finished=False)
-        return _optimum(compiled, master, certified(master, generated, TRIAL_TOLERANCE), least)
+        options = SolveOptions(TRIAL_TOLERANCE)
+        optimum = _attempt(compiled, row, least, options, None, by_pricing=False)
+        return replace(optimum, generated=replace(optimum.generated, finished=False))
     words = stop.told if isinstance(stop, Stop) else ""
     raise Stop(told=words or "no policy had been evaluated") from stop
 
@@ -384,12 +382,23 @@ def _attempt(
     least: LeastFailure | None,
     options: SolveOptions,
     guess: DualGuess | None,
+    *,
+    by_pricing: bool = True,
 ) -> Optimum[CompiledProblem]:
     """Run one search, started at the dual of the linear program if that is the method.
 
     If the budget equals the least failure, no program is solved, as its feasibility would depend
     on rounding: the column of least failure is the answer, with its own bound. The least failure
     is computed if the safest column is so near the budget that they may be equal.
+
+    Args:
+        compiled: the problem.
+        row: the failure row.
+        least: the policy of least failure, if it is known.
+        options: method, tolerance and limits.
+        guess: a first price of failure, or None.
+        by_pricing: whether to find the first columns by pricing, if that is possible; otherwise
+            the column of least failure is the first.
     """
     program = None
     if options.program is not None and least is not None:
@@ -405,7 +414,7 @@ def _attempt(
     if guess is None and row.demanded <= 0.0 and not row.ratio:
         guess = DualGuess(0.0, SPREAD, slack=True)  # no limit, so the price is 0
     master = None
-    if least is None or row.spare(least.column) > 0.0:
+    if by_pricing and (least is None or row.spare(least.column) > 0.0):
         master = columns_by_pricing(compiled, row, guess, options)
     if master is None:
         least = checked_least_failure(compiled, row.budget) if least is None else least
@@ -413,10 +422,28 @@ def _attempt(
         master = master_at(Pool(compiled.pricing()), row, least.column)
     finer = TRIAL_TOLERANCE if compiled.is_trial else options.tolerance
     generated = generate(master, replace(options, tolerance=finer))
-    generated = certified(master, generated, finer)
+    generated = certified(master, row, generated, finer)
     if program is not None and generated.finished:
         check_agreement(program, generated.objective)
-    optimum = _optimum(compiled, master, generated, least, program)
+    bound, price = generated.lower_bound, max(generated.price - generated.ratio, 0.0)
+    if least is not None and least.is_proved and row.spare(least.column) <= 0.0 < least.column.goal:
+        bound = max(bound, least.objective_bound)  # of least failure, as the answer is
+    optimum = Optimum(
+        policy=generated.lottery(master.pool.pricing),
+        value=generated.objective,
+        bound=bound,
+        failure=generated.failure,
+        price=price,
+        values=generated.values,
+        compiled=compiled,
+        row=row,
+        least=least,
+        generated=generated,
+        search=master,
+        calls=master.pool.calls,
+        work=master.pool.work,
+        program="" if program is None else program.report,
+    )
     is_near = least is None and generated.columns[0].failure >= row.budget - _NEAR
     if not is_near or optimum.gap <= options.tolerance or is_late():
         return optimum
@@ -425,18 +452,3 @@ def _attempt(
         return replace(optimum, least=least)
     equal, later = row.equal_to(least.column), options.after(optimum.calls)
     return optimum.followed_by(_attempt(compiled, equal, least, later, None))
-
-
-def _optimum(
-    compiled: CompiledProblem,
-    master: Master,
-    generated: Generated,
-    least: LeastFailure | None,
-    program: ProgramOptimum | None = None,
-) -> Optimum[CompiledProblem]:
-    """Return the optimum of a certified search; one of least failure has its own bound, too."""
-    row, bound = master.failure_row, generated.lower_bound
-    if least is not None and least.is_proved and row.spare(least.column) <= 0.0 < least.column.goal:
-        bound = max(bound, least.objective_bound)
-    own = {"bound": bound, "price": max(generated.price - generated.ratio, 0.0), "least": least}
-    return Optimum.of(compiled, master, generated, program, **own)

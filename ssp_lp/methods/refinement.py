@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -19,10 +19,9 @@ from ssp_lp.column_generation.search import DualGuess, Generated, Master
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, is_late
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, SolverError
-from ssp_lp.methods.full_program import ProgramOptimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.processes.failure_semantics import ObjectiveSense
+from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense
 from ssp_lp.solution import Answer
 
 
@@ -82,43 +81,14 @@ class Optimum(Answer, Generic[_Compiled]):
 
     policy: MixedPolicy
     compiled: _Compiled
+    row: FailureRow  # with the budget raised to the least failure, if need be
     generated: Generated  # the lottery over columns of the process
     search: Master  # the final restricted master
     calls: int  # pricing calls of all searches
     work: Work  # of all searches
     least: LeastFailure | None = None  # if it had to be computed
     program: str = ""  # report of the last linear program
-
-    @classmethod
-    def of(
-        cls,
-        compiled: _Compiled,
-        search: Master,
-        generated: Generated,
-        program: ProgramOptimum | None,
-        **own: Any,
-    ) -> Optimum[_Compiled]:
-        """Return the optimum of a search.
-
-        Args:
-            compiled: the compiled problem.
-            search: the final restricted master.
-            generated: the result of the search.
-            program: optimum of the full linear program, if it was solved.
-            own: fields that differ from the search's result.
-        """
-        policy = own.pop("policy", None) or generated.lottery(search.pool.pricing)
-        found: dict[str, Any] = {
-            "value": generated.objective,
-            "bound": generated.lower_bound,
-            "failure": generated.failure,
-            "values": generated.values,
-            "calls": search.pool.calls,
-            "work": search.pool.work,
-            "program": "" if program is None else program.report,
-        }
-        found |= own
-        return cls(policy=policy, compiled=compiled, generated=generated, search=search, **found)
+    sense: ObjectiveSense = AS_ASKED  # relation between the value and the objective asked for
 
     @property
     def kappa(self) -> float:
@@ -126,14 +96,9 @@ class Optimum(Answer, Generic[_Compiled]):
         return (self.value if self.compiled.ratio else 0.0) + (self.price or 0.0)
 
     @property
-    def row(self) -> FailureRow:
-        """The failure row, if it is the only limit."""
-        return self.search.failure_row
-
-    @property
     def gap(self) -> float:
         """Relative gap of the objective that the user asked for; infinite if none is attained."""
-        worth = self.compiled.sense.worth
+        worth = self.sense.worth
         is_attained = np.isfinite(self.value)
         return two_sided_gap(worth(self.value), worth(self.bound)) if is_attained else np.inf
 

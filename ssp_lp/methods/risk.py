@@ -40,7 +40,7 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from heapq import heappop, heappush, heapreplace
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -60,7 +60,7 @@ from ssp_lp.compiled.deadline import Stop, WithIncumbent, is_late
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.incumbent import worth_bound
-from ssp_lp.methods.refinement import Optimum, Proved
+from ssp_lp.methods.refinement import Proved
 from ssp_lp.methods.rows import (
     bound_at,
     least_goal_within,
@@ -205,12 +205,6 @@ class _Trial:
     calls: int
     prices: Mapping[str, float] = field(default_factory=dict)  # of constraints, by name
 
-    @staticmethod
-    def of(optimum: Optimum[Any]) -> _Trial:
-        """Return the trial of an optimum."""
-        proved = optimum.value, optimum.bound, optimum.policy
-        return _Trial(*proved, optimum.kappa, optimum.calls, optimum.prices)
-
 
 Near = tuple[float, float]
 """A start of a search, from coarser costs: the quantile of a good policy, and the price of failure
@@ -279,7 +273,8 @@ class _WithinBudget(_Question):
             value = column.cost / column.goal
             return _Trial(value, min(self.share(pricing.prove(0.0)), value), policy, 0.0, 2)
         guess = DualGuess(kappa, _NEARBY) if kappa > 0.0 else None
-        return _Trial.of(refined_optimum(compiled, self.budget, options, guess))
+        best = refined_optimum(compiled, self.budget, options, guess)
+        return _Trial(best.value, best.bound, best.policy, best.kappa, best.calls)
 
     def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
         """Return the lower bound of one sweep."""
@@ -334,7 +329,8 @@ class _WithinRows(_Question):
             return _expected_charge(charge, law) / law.goal
 
         truth = true_figures(self.problem, self.compiled, value)
-        return _Trial.of(rows_optimum(self.compiled.charging(charge), options, truth))
+        best = rows_optimum(self.compiled.charging(charge), options, truth)
+        return _Trial(best.value, best.bound, best.policy, best.kappa, best.calls, best.prices)
 
     def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
         """Return the lower bound at the prices of another charge's optimum."""

@@ -30,6 +30,7 @@ from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, RELATIVE_GAP, FloatArray, read_only
 from ssp_lp.column_generation.column import (
     Column,
+    FailureRow,
     PricingProblem,
     Proof,
     least_of,
@@ -267,11 +268,16 @@ def _rows_attempt(
         del named[FAILURE_ROW]
     granted, note = _granted(compiled, rows, generated.finished)
     paid = float(prices @ np.abs(rows.bounds))
-    return Optimum.of(
-        compiled,
-        rule,
-        generated,
-        program,
+    budget = 1.0 if compiled.budget is None else compiled.budget
+    return Optimum(
+        compiled=compiled,
+        row=FailureRow(budget, compiled.ratio),
+        generated=generated,
+        search=rule,
+        calls=pool.calls,
+        work=pool.work,
+        program="" if program is None else program.report,
+        sense=compiled.sense,
         policy=policy,
         value=value,
         bound=compiled.sense.settled_bound(value, least_of(bound, value), paid),
@@ -500,12 +506,12 @@ def phase_one(
     if not _kept_to(ended, rows):
         ended = _without_traces(ended, rows)
     if _kept_to(ended, rows):
-        raised = rows.relaxed(ended.excess)
+        raised = rows.bounds + np.maximum(ended.excess, 0.0) * rows.scales
         ratio = pool.first_ratio(ended) if compiled.ratio else 0.0
         return Master(
             pool,
-            replace(raised, ratio=ratio),
-            np.zeros(len(limited)),
+            replace(rows, bounds=raised, ratio=ratio),
+            np.zeros(limited.size),
             cheapest.cost,
             given_success=compiled.ratio,
             luck=_luck(compiled),
@@ -622,7 +628,9 @@ def _irreducible_conflict(
         rest = tuple(k for k in conflict.rows if k != row)
         if not rest or len(rest) == len(conflict.rows):
             continue
-        part = rows.among(rest)
+        kept = list(rest)
+        bounds, scales = rows.bounds[kept], rows.scales[kept]
+        part = replace(rows, index=rows.index[kept], bounds=bounds, scales=scales)
         elastic = Master(pool, part, np.zeros(len(rest)), elastic=True)
         ended = generate(elastic, options)
         smaller = None if _kept_to(ended, part) else _proved_conflict(pool, part, ended)
