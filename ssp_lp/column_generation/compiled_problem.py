@@ -23,13 +23,11 @@ from ssp_lp.accumulated_cost.exponential_utility import (
     greatest_moment,
     pairs_keeping_goal,
 )
-from ssp_lp.accumulated_cost.process import (
-    AccumulatedCost,
-    LayeredTails,
-    accumulate_cost,
-)
+from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredTails, accumulate_cost
 from ssp_lp.accumulated_cost.sweep import follow_rule
 from ssp_lp.accumulated_cost.totals import (
+    CAP_MARGIN,
+    MOST_GROWTH,
     MOST_SUMS,
     Resolution,
     Totals,
@@ -149,21 +147,6 @@ class CompiledProblem(ABC):
     facts: GoalFacts  # of the model, the start and the discount
     ratio: bool  # whether the objective is cost / (1 - failure) (case S) rather than cost (case M)
     charge: Charge | None  # of the total cost at the goal; None: case M, no accumulated cost
-
-    @property
-    def model(self) -> SSP:
-        """The model."""
-        return self.facts.model
-
-    @property
-    def start(self) -> FloatArray:
-        """The distribution in which an episode begins, [states]."""
-        return self.facts.start
-
-    @property
-    def discount(self) -> float | None:
-        """The discount; None: exact."""
-        return self.facts.discount
 
     @property
     @abstractmethod
@@ -412,15 +395,10 @@ class LayerAndTails:
     def base(self) -> AccumulatedCost:
         """One layer of the process."""
         facts = self.facts
-        return accumulate_cost(
-            facts.model,
-            facts.start,
-            facts.discount,
-            arrivals=self.counts_law,
-            usable=facts.greatest.usable if self.safest_only else None,
-            side=self.side,
-            by_steps=self.by_sums,
-        )
+        usable = facts.greatest.usable if self.safest_only else None
+        how: dict[str, Any] = {"usable": usable, "side": self.side, "by_steps": self.by_sums}
+        setting = facts.model, facts.start, facts.discount
+        return accumulate_cost(*setting, arrivals=self.counts_law, **how)
 
     @cached_property
     def guess(self) -> tuple[float, float] | None:
@@ -533,12 +511,6 @@ class LayerAndTails:
 
 _UNPROVED = 1e-10
 """Relative gap with least failure above which pairs are compared in twice the working precision."""
-
-CAP_MARGIN = 1.02
-"""Factor of the cap that a trial's price implies, as the price still changes a little."""
-
-MOST_GROWTH = 4
-"""Most growth of a cap in one step: more comes from a high price near the least failure."""
 
 ATTAINABLE = 1e-10
 """A bound this much below the least attainable total, relative to it, counts as equal to it."""
@@ -847,10 +819,11 @@ class CompiledExplicit(CompiledProblem):
             return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
-            typical = self.facts.typical_cost
             if self.is_trial:
                 cost, goal = self.facts.cost_and_goal(self.facts.directed)
                 typical = _ROUGHLY * cost / max(goal, 1e-300)
+            else:
+                typical = self.facts.typical_cost
             layers = written_out.first_cap(self.base, self.charge, typical, self.fixed_cap)
         written_out.check_room(self.base, layers, self._most_pairs)
         return layers

@@ -61,8 +61,11 @@ _REASONS = {
 def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     """Solve for the greatest or least goal probability, checked by the full program if chosen."""
     compiled, aim = problem.compile(), problem.semantics.aim
-    reach = extreme_goal_reach(problem.model, aim, compiled.start)
-    objective, bound = float(compiled.start @ reach.goal), float(compiled.start @ reach.bound)
+    reach = extreme_goal_reach(problem.model, aim, compiled.facts.start)
+    objective, bound = (
+        float(compiled.facts.start @ reach.goal),
+        float(compiled.facts.start @ reach.bound),
+    )
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
     if options.program is not None:
         process = compiled.explicit()
