@@ -235,10 +235,8 @@ def compiled_constrained(problem: Problem, *, by_units: bool = False) -> Compile
         )
     facts, semantics = GoalFacts(model, start, problem.discount), problem.semantics
     side = tuple(row for condition in problem.conditions for row in condition.rows)
-    charge, resolution = (
-        semantics.charge(problem.ratio),
-        None if by_units else resolution_of(problem),
-    )
+    charge = semantics.charge(problem.ratio)
+    resolution = None if by_units else resolution_of(problem)
     layer = None
     if charge is not None:
         layer = LayerAndTails(facts, semantics.counts_law, resolution is not None, side=side)
@@ -267,13 +265,8 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayere
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
     by_sums = may_sum and problem.requirements.totals is TotalScale.SUMS
     facts = GoalFacts(problem.model, start)
-    layer = LayerAndTails(
-        facts,
-        counts_law=True,
-        by_sums=by_sums,
-        may_fail=problem.ratio,
-        utility=charge if isinstance(charge, ExponentialUtility) else None,
-    )
+    utility = charge if isinstance(charge, ExponentialUtility) else None
+    layer = LayerAndTails(facts, True, by_sums, may_fail=problem.ratio, utility=utility)
     return CompiledLayered(facts, layer, charge, problem.ratio)
 
 

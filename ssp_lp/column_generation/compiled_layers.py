@@ -435,7 +435,8 @@ class CompiledLayered(CompiledProblem):
         if self._has_exact_tails:
             tails = layer.exact_tails
         elif self.tails is Tails.FAILING:
-            tails = layer.failing_tails
+            facts = self.facts
+            tails = layer.tails(facts.riskiest, facts.riskiest, facts.least.bound, exact=False)
         else:
             tails = layer.simple_tails
         return LayeredProcess(base, totals, tails, self.charge)
@@ -468,11 +469,14 @@ class CompiledLayered(CompiledProblem):
 
     def _settled_units(self) -> float:
         """Return the total, in units, from which the charge is affine or the tail optimal."""
-        layer, settled = self.layer, self.charge.settled or 0.0
+        layer, settled, least = self.layer, self.charge.settled or 0.0, 1.0
+        if layer.by_sums:  # so that total 0 has a layer
+            dearest = float(step_costs(self.facts.model)[1].max())
+            least = written_out.BEYOND * dearest or 1.0
         if layer.utility is not None:
-            return max(layer.units(self.cost_horizon), layer.least_units)
+            return max(layer.units(self.cost_horizon), least)
         if layer.by_sums:
-            return max(settled * (1.0 + written_out.BEYOND), layer.least_units)
+            return max(settled * (1.0 + written_out.BEYOND), least)
         if layer.base.width == 1:
             return 1  # no step costs anything
         return max(layers_within(settled, layer.base.exact_unit), 1)

@@ -447,22 +447,16 @@ class LayerAndTails:
         elif self.may_fail:
             least, last = facts.least.bound, facts.riskiest
         moment = None if moments is None else -at(-moments.bound)
-        return self._tails(first, last, least, least_cost=least_cost, greatest_moment=moment)
+        return self.tails(first, last, least, least_cost=least_cost, greatest_moment=moment)
 
     @cached_property
     def simple_tails(self) -> LayeredTails:
         """A policy to the goal, and the riskiest policy."""
         facts, guess = self.facts, self.guess
         first = facts.riskiest if guess else facts.directed
-        return self._tails(first, facts.riskiest, facts.least.bound, exact=False, guess=guess)
+        return self.tails(first, facts.riskiest, facts.least.bound, exact=False, guess=guess)
 
-    @property
-    def failing_tails(self) -> LayeredTails:
-        """The riskiest policy alone."""
-        riskiest = self.facts.riskiest
-        return self._tails(riskiest, riskiest, self.facts.least.bound, exact=False)
-
-    def _tails(
+    def tails(
         self,
         first: goal_reach.ReachPolicy,
         last: goal_reach.ReachPolicy,
@@ -500,13 +494,6 @@ class LayerAndTails:
     def units(self, total: float) -> float:
         """Return a total in units, rounded up if layers are multiples of the unit."""
         return total if self.by_sums else int(min(np.ceil(total / self.base.unit), 1e15))
-
-    @property
-    def least_units(self) -> float:
-        """Smallest cap: one layer; by sums, that of total 0."""
-        if not self.by_sums:
-            return 1
-        return written_out.BEYOND * float(step_costs(self.facts.model)[1].max()) or 1.0
 
 
 _UNPROVED = 1e-10
