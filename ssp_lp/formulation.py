@@ -27,11 +27,7 @@ from ssp_lp.accumulated_cost.charges import (
 )
 from ssp_lp.arrays import IntArray
 from ssp_lp.column_generation.compiled_layers import CompiledLayered
-from ssp_lp.column_generation.compiled_problem import (
-    CompiledExplicit,
-    CompiledProblem,
-    GoalFacts,
-)
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit, CompiledProblem, GoalFacts
 from ssp_lp.errors import (
     InfeasibleError as InfeasibleError,
     ModelError as ModelError,

@@ -274,13 +274,8 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayere
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
     by_sums = may_sum and problem.totals is TotalScale.SUMS
     facts = GoalFacts(problem.model, problem.start_mass)
-    layer = LayerAndTails(
-        facts,
-        counts_law=True,
-        by_sums=by_sums,
-        may_fail=problem.ratio,
-        utility=charge if isinstance(charge, ExponentialUtility) else None,
-    )
+    utility = charge if isinstance(charge, ExponentialUtility) else None
+    layer = LayerAndTails(facts, True, by_sums, may_fail=problem.ratio, utility=utility)
     return CompiledLayered(facts, layer, charge, problem.ratio)
 
 

@@ -29,13 +29,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from ssp_lp.accumulated_cost.totals import common_unit, exact_cost, last_layer, layers_of, totals_of
-from ssp_lp.arrays import (
-    SAME_TOTAL,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    concatenated_ranges,
-)
+from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, concatenated_ranges
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.equations import System
@@ -249,15 +243,13 @@ class _LayerPowers:
 
 
 _FIRST_LAYERS = 64
-_LAST_LAYER = 2**62  # practically infinite
+_LAST_LAYER: int = 2**MOST_LEVELS  # practically infinite
 _NARROW = 100_000  # most waiting masses for layers rather than sums
 _MOST_WAITING = 50_000_000  # most waiting masses, 400 MB
 _MOST_WORK = 3_000_000_000  # most moves followed in all, some tens of seconds
 _WORK_OF_A_LAYER = 3_000  # overhead of starting one layer, in moves
 _WORK_OF_PASSING = 10  # overhead of passing an empty layer in a compiled loop, in moves
 _TOGETHER = 1_000_000  # most moves between two checks of the time
-_MOSTLY = 0.5  # share of active nodes from which the moves of all nodes are followed
-_TINY = 5e-324  # the least positive float
 _MOST_PLACES = 800  # most places for dense powers, some sixty of which take 300 MB
 _WORK_OF_POWERS = 0.125  # work of the powers, in moves per places cubed
 
@@ -420,7 +412,7 @@ class Arrivals:
         Raises:
             ModelError: it lies beyond 2^62 layers.
         """
-        beyond = max(mass - sum(self._masses), _TINY)
+        beyond = max(mass - sum(self._masses), float(np.finfo(np.float64).tiny))
         layers = self._powers.until(self._here(), beyond)
         if layers is None:
             raise ModelError(self._too_large("the answer lies too far out"))
@@ -518,8 +510,6 @@ class Arrivals:
     def _send(self, visits: FloatArray, active: IntArray, begin: int) -> None:
         """Send mass on along moves that cost something or reach the goal, into the ring."""
         moves, waiting = self._onward, self._waiting
-        if active.size >= _MOSTLY * visits.size:
-            active = np.arange(visits.size)
         first = moves.indptr[active].astype(np.int64)
         counts = moves.indptr[active + 1] - first
         self._count(int(counts.sum()) + _WORK_OF_A_LAYER)
@@ -548,7 +538,7 @@ _MOST_STEPS = 64  # most distinct step costs
 _EARLY = 0.5  # share of the sums after which ``_SOME`` of the mass must have arrived
 _SOME = 0.05  # share of the successes
 _COARSE_TOO = 3  # most sums, coarse ones included, as a multiple of the exact ones
-_UNLIKELY = 1e-17  # share of the successes, below rounding, of a sum that is rounded at first
+UNLIKELY = 1e-17  # share of the successes, or of a sum, that is below rounding
 
 
 class TooManySumsError(ModelError):
@@ -572,7 +562,7 @@ class FollowedSums(Arrivals):
         exact_costs: Mapping[float, Fraction],
         coarse: Fraction,
         most: int,
-        rarest: float = _UNLIKELY,
+        rarest: float = UNLIKELY,
     ) -> None:
         """Start at total cost 0, with no layer settled.
 
@@ -587,7 +577,7 @@ class FollowedSums(Arrivals):
         distinct, step = np.unique(live.paid, return_inverse=True)
         unit = common_unit(distinct, exact_costs)
         self._followed, self._most, self._rarest = 0, most, rarest
-        self._end = most if rarest == _UNLIKELY else _COARSE_TOO * most
+        self._end = most if rarest == UNLIKELY else _COARSE_TOO * most
         self._coarse = max(int(coarse / unit), 1)
         self._units = [int(exact_cost(c, exact_costs) / unit) for c in distinct.tolist()]
         self._first = max(_FIRST_STEPS * max(self._units, default=1), 1)
@@ -641,7 +631,7 @@ class FollowedSums(Arrivals):
         if self._followed >= self._most:
             return self._end > self._most
         arriving = sum(float(masses @ self._live.goal[nodes]) for nodes, masses in parts)
-        share = _UNLIKELY * math.pow(self._rarest / _UNLIKELY, self._followed / self._most)
+        share = UNLIKELY * math.pow(self._rarest / UNLIKELY, self._followed / self._most)
         return arriving <= share * self._goal
 
     @property

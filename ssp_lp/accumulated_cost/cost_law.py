@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from ssp_lp.accumulated_cost.arrivals import (
+    UNLIKELY,
     Arrivals,
     FollowedSums,
     LiveChain,
@@ -25,7 +26,6 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.policies.chain import Chain
 from ssp_lp.processes.failure_semantics import as_percentage
 
-_NOTHING = 1e-17  # relative to a sum: below its rounding error
 _UTILITY_LEFT = 1e-13  # relative error of an expected utility at which following ends
 _MOST_SUMS = 10_000  # most sums followed one by one, some seconds
 _MOST_SUMS_BESIDE = 5_000  # the same if layers, or a policy's own unit, are the alternative
@@ -96,7 +96,7 @@ class CostLaw:
             """Return the mass that arrives within the bound."""
             last = arrivals.last_layer(bound)
             for _ in arrivals.followed(last + 1):
-                if arrivals.leaps or arrivals.remaining()[0] <= _NOTHING * self.goal:
+                if arrivals.leaps or arrivals.remaining()[0] <= UNLIKELY * self.goal:
                     break
             return arrivals.arrived(last + 1)
 
@@ -115,7 +115,7 @@ class CostLaw:
             for settled in arrivals.followed(last + 1):
                 if settled > last:
                     break
-                if arrivals.remaining()[1] <= _NOTHING * self.cost:
+                if arrivals.remaining()[1] <= UNLIKELY * self.cost:
                     return 0.0
                 if arrivals.leaps:
                     goal, cost = arrivals.remaining(last + 1)

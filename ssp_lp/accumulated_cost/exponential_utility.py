@@ -22,10 +22,6 @@ from ssp_lp.processes.goal_reach import GoalReach, ReachPolicy
 from ssp_lp.processes.live_rows import costless_pairs, successor_means
 from ssp_lp.processes.quotient import Quotient, build_quotient
 
-_ROUNDING = 2.0
-"""Divisor of a computed loss of goal probability: it makes the horizon a little larger, so that
-rounding does not matter."""
-
 _ONE = np.ones(1)
 
 
@@ -102,7 +98,8 @@ def cost_horizon(
     tempting = losing & (gained > 0.0)
     if not tempting.any():
         return 0.0
-    share = bonus * lost[tempting] / _ROUNDING / gained[tempting]
+    lost = lost[tempting] / 2.0  # a larger horizon, so that rounding does not matter
+    share = bonus * lost / gained[tempting]
     with np.errstate(divide="ignore"):
         return float(max(np.log(share).min() / rate, 0.0))
 

@@ -34,13 +34,7 @@ from ssp_lp.compiled.deadline import backward, check_time, pieces
 from ssp_lp.dynamic_programming.equations import System, strong_components
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import (
-    attention_states,
-    dead_ends,
-    goal_pairs,
-    nearer_pairs,
-    reached_along,
-)
+from ssp_lp.model.graph import attention_states, dead_ends, goal_pairs, nearer_pairs, reached_along
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy
 from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, CostLayers, DeterministicPolicy, Policy
@@ -56,7 +50,7 @@ _LOG = logging.getLogger("ssp_lp.evaluation")
 
 
 @dataclass(frozen=True, eq=False)
-class Staying:
+class _Staying:
     """Moves within a layer, among k states that such moves connect."""
 
     share: sp.csr_array  # [k, k] probabilities
@@ -326,7 +320,7 @@ class LayerMoves:
         offsets = offsets_of(np.bincount(source, minlength=len(pairs)))
         return np.flatnonzero(reached_along(self.model.successors[outcome], offsets, begins))
 
-    def staying(self, states: IntArray, pairs: IntArray, ring: IntArray) -> Staying | None:
+    def staying(self, states: IntArray, pairs: IntArray, ring: IntArray) -> _Staying | None:
         """Return the moves within a layer; None: there are none.
 
         Args:
@@ -345,7 +339,7 @@ class LayerMoves:
         onward = np.zeros(len(pairs))
         source, outcome, _ = self._taken(pairs, ring >= 0)
         np.add.at(onward, source, self.model.probabilities[outcome])
-        return Staying(sp.csr_array((share, where), shape=shape), paid, onward)
+        return _Staying(sp.csr_array((share, where), shape=shape), paid, onward)
 
     @property
     def outcomes(self) -> tuple[IntArray, IntArray, FloatArray, IntArray]:

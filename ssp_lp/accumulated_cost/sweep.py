@@ -79,7 +79,7 @@ _MOST_CHARGES = 20_000_000
 """Most charges, arriving pairs times layers, if the charge is not the total cost."""
 
 
-class Layers(NamedTuple):
+class _Layers(NamedTuple):
     """A block of layers, as input of a pass over them."""
 
     order: IntArray  # [nodes] each after the nodes its free steps lead to, as far as possible
@@ -97,7 +97,7 @@ class Layers(NamedTuple):
     counted: FloatArray  # [pairs, counted] quantities in addition to the charge
 
 
-OnePass: TypeAlias = tuple[Layers, FloatArray, bool]
+_OnePass: TypeAlias = tuple[_Layers, FloatArray, bool]
 """The layers; the bound of the steps within a layer, [nodes], empty if free steps are acyclic; and
 whether the pass is compiled."""
 
@@ -149,19 +149,10 @@ class Sweep:
         """First pair of each node, [nodes]."""
         return self.process.base.pair_offsets[:-1]
 
-    @cached_property
-    def charged(self) -> Callable[[int], PairCost]:
-        """Function from a layer to the charges of its pairs, [pairs]."""
-        charged, more = self.process.charged, self.on_top
-        if more is None:
-            return charged
-
-        def and_more(layer: int) -> PairCost:
-            """Return the charges with ``on_top`` added."""
-            charge = charged(layer)
-            return replace(charge, fixed=charge.fixed + more)
-
-        return and_more
+    def charged(self, layer: int) -> PairCost:
+        """Return the charges of the pairs of a layer, ``on_top`` included, [pairs]."""
+        charge = self.process.charged(layer)
+        return charge if self.on_top is None else replace(charge, fixed=charge.fixed + self.on_top)
 
     def room_for_choice(self, layers: int | None = None) -> IntArray:
         """Return an empty array for a choice over layers, in the smallest integer type."""
@@ -250,12 +241,7 @@ class Sweep:
         return expected(start, deque(swept, maxlen=1)[0][1][0])
 
     def bound(
-        self,
-        priced: Priced,
-        given: FloatArray,
-        choice: IntArray | None = None,
-        *,
-        keeps: bool = True,
+        self, priced: Priced, given: FloatArray, choice: IntArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Return lower bounds of the values of all policies, rounded down, by a backward sweep.
 
@@ -263,11 +249,10 @@ class Sweep:
             priced: weights, with lower bounds beyond the cap.
             given: upper limits of the bounds, [cap, nodes]; infinite: no limit.
             choice: if given, the minimising choice is written, [cap, nodes]; not with free steps.
-                keeps: whether the values are needed.
 
         Returns:
             The bound for an episode that begins in each layer, [cap]; and the values, [cap, nodes],
-            infinite if they are not kept.
+            infinite if they are too many to keep.
         """
         process, base = self.process, self.process.base
         inner, floor = self._first_choice, priced.floor
@@ -300,7 +285,7 @@ class Sweep:
         else:
             swept = self._blocks(one_pass, priced, priced.beyond, limits=given)
             blocks = ((some, lowest) for some, lowest, _ in swept)
-        is_kept = keeps and given.size <= KEPT_VALUES
+        is_kept = given.size <= KEPT_VALUES
         kept = np.empty(given.shape) if is_kept else np.broadcast_to(np.inf, given.shape)
         begun, sizes = np.zeros((2, process.cap))
         entries = np.flatnonzero(base.start)
@@ -336,9 +321,9 @@ class Sweep:
         return np.array([fsum(each) for each in zip(*sums, strict=True)])
 
     @property
-    def _begun_mass(self) -> LayerMass:
+    def _begun_mass(self) -> _LayerMass:
         """The start mass in the first layer, for a forward sweep."""
-        return LayerMass(self.process.base, self.counted, self.process.totals)
+        return _LayerMass(self.process.base, self.counted, self.process.totals)
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
         """Return a choice's mass beyond the cap, by a forward sweep, [layers beyond, nodes]."""
@@ -349,7 +334,7 @@ class Sweep:
 
     def _blocks(
         self,
-        compiled: OnePass,
+        compiled: _OnePass,
         priced: Priced,
         values: FloatArray,
         measures: FloatArray | None = None,
@@ -490,7 +475,7 @@ class Sweep:
         return self.is_acyclic and accelerated(self.process.base.later.nnz, "layers.follow_layer")
 
     @property
-    def one_pass(self) -> OnePass | None:
+    def one_pass(self) -> _OnePass | None:
         """Input of a backward sweep in one pass; None: the sweep goes layer by layer."""
         process, base = self.process, self.process.base
         cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
@@ -504,7 +489,7 @@ class Sweep:
         return None if whole is None else (*whole, is_compiled)
 
     @cached_property
-    def _whole_pass(self) -> tuple[Layers, FloatArray] | None:
+    def _whole_pass(self) -> tuple[_Layers, FloatArray] | None:
         """Input of a backward sweep in one pass, without the tests of ``one_pass``.
 
         None: there are too many charges, or runs of free steps are too long.
@@ -545,7 +530,7 @@ class Sweep:
             charge[:, :-1] = process.charged_arriving(slice(0, cap))
             column[:] = len(arriving)
             column[arriving] = np.arange(len(arriving))
-        layers = Layers(
+        layers = _Layers(
             order, turns, unsigned(base.pair_offsets), indptr, classes, nodes, data,
             leads.astype(np.int64), process.totals.values, charge, column, growth,
             self.counted,
@@ -563,7 +548,7 @@ class Sweep:
 
 
 def _sweep_plainly(
-    layers: Layers, weight: float, owed: FloatArray, saved: FloatArray, values: FloatArray,
+    layers: _Layers, weight: float, owed: FloatArray, saved: FloatArray, values: FloatArray,
     measured: FloatArray, position: IntArray, keeps: bool, _: FloatArray, given: FloatArray,
 ) -> None:  # fmt: skip
     """Sweep backward over layers without free steps, in NumPy; see ``layers.sweep_layers``."""
@@ -690,7 +675,7 @@ def follow_rule(
         The pair; None if nothing arrives, or much mass is still waiting then.
     """
     counted = np.stack([base.failure, base.survival * base.gain], axis=1)
-    mass, sums = LayerMass(base, counted, base.totals(0)), np.zeros(3)
+    mass, sums = _LayerMass(base, counted, base.totals(0)), np.zeros(3)
     for layer in range(most_layers):
         mass.here[mass.here < _DROPPED] = 0.0
         sums += mass.follow(rule, PairCost(base.gain_cost, base.gain, layer * base.unit))
@@ -699,7 +684,7 @@ def follow_rule(
     return None
 
 
-class LayerMass:
+class _LayerMass:
     """The mass of a layer and of the layers ahead, in a forward sweep. Mutable."""
 
     def __init__(self, base: AccumulatedCost, counted: FloatArray, totals: Totals) -> None:

@@ -439,14 +439,14 @@ _MOST_ON_GRID = 1600  # most totals of a grid, unless the user sets more
 FIRST_TOTALS = 200
 """Totals on a first grid."""
 
-_MARGIN = 1.02  # factor of the cap that a price implies, as the price still changes a little
+CAP_MARGIN = 1.02  # factor of the cap that a price implies, as the price still changes a little
+MOST_GROWTH = 4  # most growth of a cap in one step: more comes from a high, early price
 _FEW = 16  # most layers a step may pass for multiples of a unit without comparing sums
 _STEPS_AHEAD = 32  # length, in the most expensive steps, of the comparison of layers and sums
 _FEWER = 4  # ratio of layers to sums from which sums are used
 _LEAST_STEPS = 4.0  # least cap, in the most expensive steps
 _MOST_ENTRIES = 200_000_000  # layers times pairs beyond which a grid is used
 _NEARBY = 1.1  # least factor by which a cap is raised
-_GROWTH = 2.0  # factor of a cap that loses something
 
 
 @dataclass(frozen=True)
@@ -487,7 +487,7 @@ class Resolution:
 
     def up_to(self, total: float) -> Resolution:
         """Return the resolution with a cap at a total from which failing is optimal."""
-        return replace(self, cap=_MARGIN * total) if self.cap is None and total > 0.0 else self
+        return replace(self, cap=CAP_MARGIN * total) if self.cap is None and total > 0.0 else self
 
     def finer(self, totals: Totals, enough: float | None, most: int) -> Resolution | None:
         """Return a resolution with a higher cap or a finer grid; None: no room, or no gain.
@@ -497,15 +497,15 @@ class Resolution:
             enough: total from which failing is optimal; 0: unknown; None: the cap loses nothing.
             most: most totals that fit into memory.
         """
-        cap, wanted = float(totals.values[-1]), _MARGIN * (enough or 0.0)
+        cap, wanted = float(totals.values[-1]), CAP_MARGIN * (enough or 0.0)
         if enough is not None and (totals.exact or _NEARBY * cap < wanted):
-            higher = wanted if _NEARBY * cap < wanted <= 4.0 * cap else _GROWTH * cap
+            higher = wanted if _NEARBY * cap < wanted <= MOST_GROWTH * cap else 2.0 * cap
             return replace(self, cap=higher) if totals.size < most else None
         finest, grid = min(self.most or _MOST_ON_GRID, most), max(self.grid, totals.size)
         if grid >= finest or totals.exact:
             return None
         lower = enough is not None and self.turn % 3 == 2  # cap and grid may both lose
-        higher = cap * _GROWTH if lower else cap
+        higher = 2.0 * cap if lower else cap
         return replace(self, cap=higher, grid=min(2 * grid, finest), turn=self.turn + 1)
 
 

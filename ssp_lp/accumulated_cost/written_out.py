@@ -327,7 +327,7 @@ class LastLayer:
         return self.layered.own_cost_from(self.layered.cap)
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """Return None, as pairs nearer the goal must be found on the process itself.
+        """Return the cost-aware policy that takes a choice in all layers.
 
         Args:
             choice: pair of each node, [nodes].
@@ -349,19 +349,15 @@ def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
         )
 
 
-def first_cap(
-    base: AccumulatedCost, charge: Charge | None, typical: float, fixed: float | None
-) -> int:
+def first_cap(base: AccumulatedCost, charge: Charge, typical: float, fixed: float | None) -> int:
     """Return a first cap: the layers until the charge settles, and some more if it grows.
 
     Args:
         base: one layer of the process.
-        charge: the charge; None: without accumulated cost.
+        charge: the charge.
         typical: a cost given success of a typical policy.
         fixed: the user's cap on accumulated cost.
     """
-    if charge is None:
-        return 1
     if fixed is not None:
         return max(int(np.ceil(fixed / base.unit)), 1)
     if (settled := _settled_open_end(charge)) is None:
@@ -380,12 +376,11 @@ def first_total(charge: Charge, typical: float) -> float:
     return (settled or 0.0) + TYPICAL * typical
 
 
-def truncates(charge: Charge | None, total: float) -> bool:
+def truncates(charge: Charge, total: float) -> bool:
     """Return whether the last layer is inexact, as the charge may change beyond the cap."""
-    if charge is None or charge.slope > 0.0:
-        return charge is not None
-    settled = charge.settled
-    return settled is None or total <= settled or not charge.is_affine_beyond(total)
+    if charge.slope > 0.0 or charge.settled is None:
+        return True
+    return total <= charge.settled or not charge.is_affine_beyond(total)
 
 
 def _settled_open_end(charge: Charge) -> float | None:

@@ -14,18 +14,9 @@ import numpy as np
 
 from ssp_lp.accumulated_cost import written_out
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge
-from ssp_lp.accumulated_cost.process import (
-    LayeredProcess,
-)
-from ssp_lp.accumulated_cost.sweep import (
-    PartOfSweep,
-    Sweep,
-    at_price,
-)
-from ssp_lp.accumulated_cost.totals import (
-    layers_within,
-    step_costs,
-)
+from ssp_lp.accumulated_cost.process import LayeredProcess
+from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep, at_price
+from ssp_lp.accumulated_cost.totals import CAP_MARGIN, MOST_GROWTH, layers_within, step_costs
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.column_generation.column import (
     Column,
@@ -36,9 +27,7 @@ from ssp_lp.column_generation.column import (
     required,
 )
 from ssp_lp.column_generation.compiled_problem import (
-    CAP_MARGIN,
     MOST_ENTRIES,
-    MOST_GROWTH,
     MOST_STEPS,
     CompiledProblem,
     GoalFacts,
@@ -311,7 +300,6 @@ _MOST_LAYERS = 100_000
 """Most layers of a charge that never settles; the gap that remains is reported."""
 
 _DOUBLINGS = 60  # most doublings of a cap
-_LOWER = 0.5  # factor of a cap below which too many sums lie
 _LOST = 1e-6  # goal probability that a policy of least failure may lose to rounding of long runs
 
 
@@ -436,11 +424,12 @@ class CompiledLayered(CompiledProblem):
             )
         while (totals := layer.totals(cap)) is None:  # as many as fit; the gap shows the loss
             check_time()
-            cap *= _LOWER
+            cap /= 2.0
         if self._has_exact_tails:
             tails = layer.exact_tails
         elif self.tails is Tails.FAILING:
-            tails = layer.failing_tails
+            facts = self.facts
+            tails = layer.tails(facts.riskiest, facts.riskiest, facts.least.bound, exact=False)
         else:
             tails = layer.simple_tails
         return LayeredProcess(base, totals, tails, self.charge)
@@ -473,11 +462,14 @@ class CompiledLayered(CompiledProblem):
 
     def _settled_units(self) -> float:
         """Return the total, in units, from which the charge is affine or the tail optimal."""
-        layer, settled = self.layer, self.charge.settled or 0.0
+        layer, settled, least = self.layer, self.charge.settled or 0.0, 1.0
+        if layer.by_sums:  # so that total 0 has a layer
+            dearest = float(step_costs(self.facts.model)[1].max())
+            least = written_out.BEYOND * dearest or 1.0
         if layer.utility is not None:
-            return max(layer.units(self.cost_horizon), layer.least_units)
+            return max(layer.units(self.cost_horizon), least)
         if layer.by_sums:
-            return max(settled * (1.0 + written_out.BEYOND), layer.least_units)
+            return max(settled * (1.0 + written_out.BEYOND), least)
         if layer.base.width == 1:
             return 1  # no step costs anything
         return max(layers_within(settled, layer.base.exact_unit), 1)
@@ -558,7 +550,7 @@ class CompiledLayered(CompiledProblem):
         cap, end = least, None
         while layer.totals(cap) is None:  # as many as fitted
             check_time()
-            cap *= _LOWER
+            cap /= 2.0
         if levels is not None and levels[-1] >= cap:
             capped = replace(self, cap=float(levels[-1]))
             if capped.process.cap == n_layers:
@@ -578,15 +570,15 @@ class CompiledLayered(CompiledProblem):
     def least_failure(self) -> LeastFailure:
         """Return the policy of least charge among those of least failure; it may remember the cost.
 
-        For the total cost nothing must be remembered: a transition to x' is priced ``g * Pmax(x')``
-        (mathematics, section 4).
+        For the mean of the total cost nothing must be remembered: a transition to x' is priced
+        ``g * Pmax(x')`` (mathematics, section 4).
 
         Raises:
             ModelError: its runs have so many zero-cost steps that rounding errors add up.
         """
         facts = self.facts
         policy: Policy
-        if self.charge.is_the_total:
+        if not self.layer.counts_law:
             safest = facts.safest
             cost, goal = facts.cost_and_goal(safest)
             failure = float(facts.start @ safest.values.failure)

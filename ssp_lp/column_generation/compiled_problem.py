@@ -23,13 +23,11 @@ from ssp_lp.accumulated_cost.exponential_utility import (
     greatest_moment,
     pairs_keeping_goal,
 )
-from ssp_lp.accumulated_cost.process import (
-    AccumulatedCost,
-    LayeredTails,
-    accumulate_cost,
-)
+from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredTails, accumulate_cost
 from ssp_lp.accumulated_cost.sweep import follow_rule
 from ssp_lp.accumulated_cost.totals import (
+    CAP_MARGIN,
+    MOST_GROWTH,
     MOST_SUMS,
     Resolution,
     Totals,
@@ -148,21 +146,6 @@ class CompiledProblem(ABC):
     facts: GoalFacts  # of the model, the start and the discount
     ratio: bool  # whether the objective is cost / (1 - failure) (case S) rather than cost (case M)
     charge: Charge | None  # of the total cost at the goal; None: case M, no accumulated cost
-
-    @property
-    def model(self) -> SSP:
-        """The model."""
-        return self.facts.model
-
-    @property
-    def start(self) -> FloatArray:
-        """The distribution in which an episode begins, [states]."""
-        return self.facts.start
-
-    @property
-    def discount(self) -> float | None:
-        """The discount; None: exact."""
-        return self.facts.discount
 
     @property
     @abstractmethod
@@ -411,15 +394,10 @@ class LayerAndTails:
     def base(self) -> AccumulatedCost:
         """One layer of the process."""
         facts = self.facts
-        return accumulate_cost(
-            facts.model,
-            facts.start,
-            facts.discount,
-            arrivals=self.counts_law,
-            usable=facts.greatest.usable if self.safest_only else None,
-            side=self.side,
-            by_steps=self.by_sums,
-        )
+        usable = facts.greatest.usable if self.safest_only else None
+        how: dict[str, Any] = {"usable": usable, "side": self.side, "by_steps": self.by_sums}
+        setting = facts.model, facts.start, facts.discount
+        return accumulate_cost(*setting, arrivals=self.counts_law, **how)
 
     @cached_property
     def guess(self) -> tuple[float, float] | None:
@@ -468,22 +446,16 @@ class LayerAndTails:
         elif self.may_fail:
             least, last = facts.least.bound, facts.riskiest
         moment = None if moments is None else -at(-moments.bound)
-        return self._tails(first, last, least, least_cost=least_cost, greatest_moment=moment)
+        return self.tails(first, last, least, least_cost=least_cost, greatest_moment=moment)
 
     @cached_property
     def simple_tails(self) -> LayeredTails:
         """A policy to the goal, and the riskiest policy."""
         facts, guess = self.facts, self.guess
         first = facts.riskiest if guess else facts.directed
-        return self._tails(first, facts.riskiest, facts.least.bound, exact=False, guess=guess)
+        return self.tails(first, facts.riskiest, facts.least.bound, exact=False, guess=guess)
 
-    @property
-    def failing_tails(self) -> LayeredTails:
-        """The riskiest policy alone."""
-        riskiest = self.facts.riskiest
-        return self._tails(riskiest, riskiest, self.facts.least.bound, exact=False)
-
-    def _tails(
+    def tails(
         self,
         first: goal_reach.ReachPolicy,
         last: goal_reach.ReachPolicy,
@@ -522,22 +494,9 @@ class LayerAndTails:
         """Return a total in units, rounded up if layers are multiples of the unit."""
         return total if self.by_sums else int(min(np.ceil(total / self.base.unit), 1e15))
 
-    @property
-    def least_units(self) -> float:
-        """Smallest cap: one layer; by sums, that of total 0."""
-        if not self.by_sums:
-            return 1
-        return written_out.BEYOND * float(step_costs(self.facts.model)[1].max()) or 1.0
-
 
 _UNPROVED = 1e-10
 """Relative gap with least failure above which pairs are compared in twice the working precision."""
-
-CAP_MARGIN = 1.02
-"""Factor of the cap that a trial's price implies, as the price still changes a little."""
-
-MOST_GROWTH = 4
-"""Most growth of a cap in one step: more comes from a high price near the least failure."""
 
 ATTAINABLE = 1e-10
 """A bound this much below the least attainable total, relative to it, counts as equal to it."""
@@ -841,10 +800,11 @@ class CompiledExplicit(CompiledProblem):
             return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
-            typical = self.facts.typical_cost
             if self.is_trial:
                 cost, goal = self.facts.cost_and_goal(self.facts.directed)
                 typical = _ROUGHLY * cost / max(goal, 1e-300)
+            else:
+                typical = self.facts.typical_cost
             layers = written_out.first_cap(self.base, self.charge, typical, self.fixed_cap)
         written_out.check_room(self.base, layers, self._most_pairs)
         return layers

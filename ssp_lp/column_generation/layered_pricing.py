@@ -16,21 +16,10 @@ from typing import Any, cast
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TailValues
-from ssp_lp.accumulated_cost.sweep import (
-    KEPT_VALUES,
-    Priced,
-    Sweep,
-    at_weights,
-)
+from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, Priced, Sweep, at_weights
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import FloatArray, IntArray, weighted
-from ssp_lp.column_generation.column import (
-    Column,
-    PricingProblem,
-    Proof,
-    pricing_weights,
-    required,
-)
+from ssp_lp.column_generation.column import Column, PricingProblem, Proof, pricing_weights, required
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.evaluation import evaluate_policy

@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
     weighted,
 )
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, pricing_weights
-from ssp_lp.column_generation.compiled_problem import CompiledExplicit, GoalFacts, LeastFailure
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit, LeastFailure
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.distributed.part import Part
 from ssp_lp.distributed.ranks import Halo, Ranks
@@ -508,8 +508,8 @@ def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedP
         compiled: the problem.
         more: further fields of the process.
     """
-    part: Any = compiled.model
-    semantics, discount, halo = compiled.semantics, compiled.discount, part.halo
+    part: Any = compiled.facts.model
+    semantics, discount, halo = compiled.semantics, compiled.facts.discount, part.halo
     own = np.arange(part.n_states) < halo.n_own
     exits, free = giving_up_states(part, semantics.give_up), np.zeros(part.n_states, dtype=np.bool_)
     stays = np.full(part.n_states, -1)
@@ -520,7 +520,7 @@ def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedP
         staying = np.flatnonzero(pairs & free[part.pair_state] & ~pairs_into(part.graph, ~free))
         stays[part.pair_state[staying[::-1]]] = staying[::-1]
     quotient = replace(build_quotient(part, exits=(exits | free) & own), merged=free)
-    start, live = np.where(own, compiled.start, 0.0), quotient.node_of >= 0
+    start, live = np.where(own, compiled.facts.start, 0.0), quotient.node_of >= 0
     begun = np.where(live, start, 0.0)
     labelled = label_failure(part, begun, semantics, discount, quotient=quotient)
     counting = counting_of(labelled, start, semantics, discount)
@@ -588,7 +588,7 @@ class CompiledPartitioned(CompiledExplicit):
 
     def failure_at_least(self, discount: float | None) -> float:
         """Return the least failure probability of all policies, to report it in an error."""
-        facts = GoalFacts(self.model, self.start, discount)
+        facts = replace(self.facts, discount=discount)
         other = CompiledPartitioned(facts, self.semantics)
         return other.least_failure().column.failure
 

@@ -67,9 +67,9 @@ _REASONS = {
 def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     """Solve for the greatest or least goal probability, checked by the full program if chosen."""
     compiled, aim = problem.compile(), problem.semantics.aim
-    reach = extreme_goal_reach(problem.model, aim, compiled.start)
-    objective = float(expected(compiled.start, reach.goal))
-    bound = float(expected(compiled.start, reach.bound))
+    start = compiled.facts.start
+    reach = extreme_goal_reach(problem.model, aim, start)
+    objective, bound = float(expected(start, reach.goal)), float(expected(start, reach.bound))
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
     if options.program is not None:
         process = compiled.explicit()

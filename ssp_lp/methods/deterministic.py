@@ -47,10 +47,7 @@ from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.column_generation.column import Column, relative_gap
 from ssp_lp.column_generation.compiled_layers import CompiledLayered
-from ssp_lp.column_generation.compiled_problem import (
-    CompiledExplicit,
-    CompiledProblem,
-)
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit, CompiledProblem
 from ssp_lp.compiled.deadline import WithIncumbent, is_late
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver, run_highs

@@ -51,10 +51,7 @@ from ssp_lp.analysis.evaluation import Evaluation, complement, success_costs
 from ssp_lp.arrays import QUANTILE
 from ssp_lp.column_generation.column import FailureRow, Proof, required
 from ssp_lp.column_generation.compiled_layers import CompiledLayered
-from ssp_lp.column_generation.compiled_problem import (
-    CompiledExplicit,
-    checked_least_failure,
-)
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit, checked_least_failure
 from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, is_late
 from ssp_lp.errors import ModelError
@@ -309,7 +306,7 @@ class _WithinBudget(_Question):
         """Return the lower bound of E[charge | goal] that a proof implies."""
         if self.budget is not None:
             return FailureRow(self.budget, ratio=True).lower_bound(proof)
-        greatest = float(self.compiled.start @ self.compiled.facts.greatest.bound)
+        greatest = float(self.compiled.facts.start @ self.compiled.facts.greatest.bound)
         return max(proof.bound, 0.0) / min(greatest, 1.0)
 
 
@@ -370,7 +367,7 @@ def question_of(problem: Problem) -> _Question:
         thresholds = _Multiples(compiled.base.exact_unit)
     else:
         with suppress(ModelError):  # too many sums
-            sums = _Sums(compiled.model)
+            sums = _Sums(compiled.facts.model)
             sums.number(_AHEAD * typical)
             thresholds = sums
     return _WithinRows(
@@ -403,7 +400,7 @@ def question_of_compiled(compiled: CompiledLayered, budget: float | None) -> _Wi
             away = abs(budget - allowed)
             note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
         compiled, budget = compiled.safest(), None
-    layer, model = compiled.layer, compiled.model
+    layer, model = compiled.layer, compiled.facts.model
     return _WithinBudget(
         budget=budget,
         allowed=allowed,

@@ -35,13 +35,7 @@ from typing import Any, cast
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import WithinBound
-from ssp_lp.accumulated_cost.totals import (
-    MOST_SUMS,
-    common_unit,
-    step_costs,
-    sums_in,
-    totals_of,
-)
+from ssp_lp.accumulated_cost.totals import MOST_SUMS, common_unit, step_costs, sums_in, totals_of
 from ssp_lp.analysis.evaluation import Evaluation, evaluate, measured_costs
 from ssp_lp.arrays import SAME_TOTAL, offsets_of, read_only
 from ssp_lp.column_generation.column import (

@@ -575,9 +575,9 @@ def _infeasible(
         words = f"no policy satisfies {FAILURE_ROW!r} <= {budget:.12g} and the limits: {words}"
         named = [FAILURE_ROW, *named]
 
-    if far := goal_out_of_reach(compiled.model, compiled.start):
+    if far := goal_out_of_reach(compiled.facts.model, compiled.facts.start):
         words = f"{far}: {words}"
-    least_failure, discount = compiled.failure_at_least, compiled.discount
+    least_failure, discount = compiled.failure_at_least, compiled.facts.discount
     return InfeasibleError(
         words,
         failure_budget=budget,
