@@ -506,7 +506,7 @@ def as_float(value: Any) -> Any:
 def check_cost(name: str, value: object) -> None:
     """Raise :class:`ModelError`, naming the argument, unless it is a finite number >= 0."""
     if not is_amount(value):
-        raise wrong_argument(name, "be a cost", value)
+        raise wrong_argument(name, "be a cost" if is_number(value) else "be a number", value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -227,5 +227,6 @@ def test_the_reference_names_everything_public():
 def test_every_page_stands_in_the_site():
     menu = text_of("docs/site/mkdocs.yml").partition("\nnav:")[2]
     listed = set(re.findall(r"([\w/]+\.md)$", menu, flags=re.MULTILINE))
-    elsewhere = {"contributing.md", "changelog.md", "examples.md"}
+    stories = {f"stories/{path.stem}.md" for path in (ROOT / "examples/notebooks").glob("*.ipynb")}
+    elsewhere = {"contributing.md", "changelog.md", "examples.md"} | stories
     assert listed == {page.removeprefix("docs/") for page in DOCS} | elsewhere

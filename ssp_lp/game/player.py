@@ -482,7 +482,7 @@ class Player:
         process: Any = sweep.process
         priced = at_price(sweep, price, failing, bounds=True)
         if self.tail is not None:
-            charge, failure, goal = process.beyond(price)
+            charge, failure, goal = np.moveaxis(process.measures_beyond(price), -1, 0)
             size = charge + failing * failure + (price - failing) * goal
             beyond = process.beyond_value(price, failing) - _ROUNDED * size
             priced = priced._replace(beyond=beyond)

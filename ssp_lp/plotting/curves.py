@@ -236,8 +236,8 @@ def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = N
     The upper bound is the objective of the best policy so far. The lower bound follows from the
     pricing calls so far: each of them is repeated at its price (with the cap of a linear program if
     accumulated costs are capped). The last point shows the bounds of the solution. Only the last
-    lower bound is known if the problem has limits besides the failure budget, or if it does not
-    minimise a cost within a failure budget.
+    lower bound is known if the problem has limits in addition to the failure budget, or if it does
+    not minimise a cost within a failure budget.
 
     Args:
         record: record of the reports of ``solve``.

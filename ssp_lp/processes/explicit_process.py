@@ -166,7 +166,7 @@ def bound_of(
         smaller: the contraction at the cost, or None.
         pair_cost: [pairs].
         values: near-optimal values, [states].
-        floor: a constant that is a known sub-solution, besides the greatest one.
+        floor: a constant sub-solution, in addition to the greatest one.
         choice: a policy of about these values that leaves, [states].
     """
     # the least constant is optimal if the cheapest way to end costs the same everywhere;

@@ -337,4 +337,4 @@ def test_a_way_to_the_goal_that_may_never_end_after_failing_is_none():
         assert certify(solution).gap <= 1e-9
     worth = solve(GUBS(model, "start", lambda cost: np.exp(-cost), 0.5, constraints=dry))
     assert worth.objective == pytest.approx(0.8 * (np.exp(-1.0) + 0.5), rel=1e-9)
-    assert compiled_constrained(worth.problem.unrolled).typical_cost == pytest.approx(1.0)
+    assert compiled_constrained(worth.problem.unrolled).facts.typical_cost == pytest.approx(1.0)

@@ -346,7 +346,7 @@ def test_the_program_is_assembled_in_pieces_and_is_what_it_says(monkeypatch):
     "stretch",
     {
         "layers": lambda model: written_out.steps_of_layers(
-            S3P(model, 0, failure_budget=0.9).compile().base,
+            S3P(model, 0, failure_budget=0.9).compile().layer.base,
             lambda kinds: (np.add.outer(np.arange(9), kinds), None),
             10_000,
         ),

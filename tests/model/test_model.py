@@ -112,7 +112,7 @@ def test_the_lattice_of_costs_is_exact(first, second, layers):
     tries = [(0.5, "g", second), (0.5, "t", second)]
     model = model_of({"s": {"go": [(1.0, "t", first)]}, "t": {"go": tries}})
     problem = S3P(model, start="s", failure_budget=0.5)
-    unit = problem.compile().base.unit
+    unit = problem.compile().layer.base.unit
     assert (float(first) / unit, float(second) / unit) == pytest.approx(layers)
     # nobody can fail here; two tries on average
     assert solve(problem).objective == pytest.approx(float(first + 2 * second))
