@@ -494,10 +494,11 @@ class Resolution:
 
         Args:
             totals: the present totals.
-            enough: total from which failing is optimal; 0: unknown; None: the cap loses nothing.
+            enough: total from which failing is optimal; 0 or infinite: unknown; None: the cap loses nothing.
             most: most totals that fit into memory.
         """
         cap, wanted = float(totals.values[-1]), CAP_MARGIN * (enough or 0.0)
+        wanted = wanted if wanted < np.inf else 0.0  # without a policy there is no price
         if enough is not None and (totals.exact or _NEARBY * cap < wanted):
             higher = wanted if _NEARBY * cap < wanted <= MOST_GROWTH * cap else 2.0 * cap
             return replace(self, cap=higher) if totals.size < most else None

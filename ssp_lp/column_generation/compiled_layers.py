@@ -497,7 +497,8 @@ class CompiledLayered(CompiledProblem):
             return None
         else:
             lossless = self.lossless_units(price)
-            is_near = (self.is_trial or here < lossless) and lossless <= MOST_GROWTH * here
+            most = (2.0 if exact and self.charge.is_the_total else MOST_GROWTH) * here
+            is_near = (self.is_trial or here < lossless) and lossless <= most
             wanted = lossless if is_near else wanted if exact else here
             tails = self.tails if is_near and self.is_trial else tails
         if layer.by_sums:

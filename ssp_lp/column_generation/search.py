@@ -579,8 +579,13 @@ def lottery_within(
     within = elastic.generated(finished=True)
     if (within.figures[rows.index] > rows.bounds + _KEPT * np.abs(rows.bounds)).any():
         return None
-    rows = replace(rows, ratio=pool.first_ratio(within) if ratio else 0.0)
-    master = Master(pool, rows, none, given_success=ratio, luck=luck)
+    master = Master(pool, replace(rows, ratio=0.0), none, given_success=ratio, luck=luck)
+    if ratio and within.goal > luck:
+        master.lottery, master.objective = elastic.lottery, within.given_success
+        master.rows = replace(rows, ratio=within.given_success)
+    elif ratio:
+        dearest = max(column.cost / max(column.goal, 1e-300) for column in counted)
+        master.rows = replace(rows, ratio=dearest + 1.0)
     master.solve()
     return master.generated(finished=True) if np.isfinite(master.objective) else None
 
