@@ -38,6 +38,7 @@ Fact = TypeVar("Fact")
 
 _TURNS = 1_000  # of a search, between two checks of the time
 _FAR = np.iinfo(np.int32).max - 1  # distance of states that cannot be reached
+_MANY_OUTCOMES = 128_000  # from which a short search saves a round of long ones
 _FEW, _FEW_ENTRIES = 32, 128  # states, and their predecessors, that a loop handles faster
 
 
@@ -189,11 +190,12 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
         The states, goals included, [states]; the pairs that stay among them, [pairs]; and for each
         of the states such a pair that may lead nearer to the goal, -1 elsewhere, [states].
     """
-    return surely_ending(model, model.goal_mask, goal_pairs(model), hopeless_states(model))
+    hopeless = hopeless_states(model) if model.n_outcomes > _MANY_OUTCOMES else None
+    return surely_ending(model, model.goal_mask, goal_pairs(model), hopeless)
 
 
 def surely_ending(
-    model: Graph, ends: BoolArray, leading: BoolArray, hopeless: BoolArray
+    model: Graph, ends: BoolArray, leading: BoolArray, hopeless: BoolArray | None = None
 ) -> tuple[BoolArray, BoolArray, IntArray]:
     """Return the states from which some policy ends surely; see :func:`surely_reaching`.
 
@@ -201,11 +203,11 @@ def surely_ending(
         model: the graph.
         ends: states in which a run ends, [states].
         leading: pairs that may lead to one of ``ends``, [pairs].
-        hopeless: states from which no policy reaches one of ``ends``, [states].
+        hopeless: states from which no policy reaches one of ``ends``, [states]; None: not known.
     """
     open_pairs = np.ones(len(model.pair_state), dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets) + ends  # so that ``ends`` are never closed
-    lost = hopeless
+    lost = open_counts == 0 if hopeless is None else hopeless
     while True:
         open_pairs &= ~lost[model.pair_state]
         open_counts[lost] = 0
