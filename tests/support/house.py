@@ -70,8 +70,13 @@ def lines_by_folder() -> dict[str, int]:
 
 
 def lines_in_all() -> int:
-    """Code lines of Python and, in the same sense, of C."""
-    own = ROOT.joinpath("ssp_lp").rglob("*.c")
+    """Code lines of Python and, in the same sense, of C and of stubs."""
+    own = [
+        path
+        for kind in ("*.c", "*.h", "*.pyi")
+        for name in PACKAGES
+        for path in (ROOT / name).rglob(kind)
+    ]
     return sum(lines_by_folder().values()) + sum(
         bool(line.strip()) and not line.strip().startswith(("/*", "*", "//"))
         for path in own
