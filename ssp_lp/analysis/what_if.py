@@ -526,14 +526,16 @@ def _vertex_in_time(problem: Problem) -> OccupationMeasure:
         Stop: the deadline of the call has passed.
     """
     check_time()
+    limit = seconds_left()
     try:
-        measure: OccupationMeasure = problem.program().solve(time_limit=seconds_left())
+        measure: OccupationMeasure = problem.program().solve(time_limit=limit)
     except SolverError as error:
         if is_late():
             raise Stop from error
         raise
     if (measure.reduced or measure).basis is None:
-        check_time()  # the limit may have cut the solver short of a vertex
+        if 2.0 * seconds_left() < limit:
+            raise Stop  # the limit has cut the solver short of a vertex
         raise SolverError("the program was solved by interior points alone, whose prices are rough")
     return measure
 
