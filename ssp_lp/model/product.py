@@ -541,7 +541,7 @@ def within_steps(
         ...     {"lock": {"try": [(0.5, "open", 1.0), (0.5, "lock", 1.0)]}}, goal={"open"})
         >>> three = within_steps(model, 3, start=["lock"])
         >>> list(three.states)[-2:], three.start("lock")
-        ([('lock', 'out of time'), ('open', 3)], {('lock', 0): 1.0})
+        ([('open', 3), ('lock', 'out of time')], {('lock', 0): 1.0})
     """
     check_model(model, "within_steps")
     check_whole("steps", steps)
