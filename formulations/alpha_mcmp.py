@@ -41,8 +41,8 @@ class AlphaMCMP(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the
-        ``failure_price``, and a lottery over at most two policies.
+        the problem; its solution has the least cost as ``objective``, a certified ``lower_bound``,
+        the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
         ModelError: a share out of range, an unknown start or ``give_up``.

@@ -58,8 +58,8 @@ class ConstrainedCost(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the
-        ``prices`` and ``secondary_costs`` by name, and a lottery over at most (active rows + 1)
+        the problem; its solution has the least cost as ``objective``, a certified ``lower_bound``,
+        the ``prices`` and ``secondary_costs`` by name, and a lottery over at most (active rows + 1)
         policies. ``InfeasibleError.conflicting_rows`` names a smallest set of conflicting rows.
 
     Raises:

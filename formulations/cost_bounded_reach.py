@@ -46,9 +46,9 @@ class CostBoundedReach(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,
-        the ``failure_price`` (the gain per unit of budget), and a lottery over at most two
-        policies of (state, accumulated cost).
+        the problem; its solution has the greatest probability as ``objective``, a certified
+        ``upper_bound``, the ``failure_price`` (the gain per unit of budget), and a lottery over at
+        most two policies of (state, accumulated cost).
 
     Raises:
         ModelError: a bound or a budget that is not a number or out of range, or an unknown start.

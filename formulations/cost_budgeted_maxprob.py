@@ -70,8 +70,9 @@ class CostBudgetedMaxProb(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,
-        the price of the budget in ``prices``, the cost in ``secondary_costs``, and a lottery.
+        the problem; its solution has the greatest probability as ``objective``, a certified
+        ``upper_bound``, the price of the budget in ``prices``, the cost in ``secondary_costs``, and
+        a lottery.
 
     Raises:
         ModelError: a budget that is not a number or out of range, an unknown start or ``give_up``,

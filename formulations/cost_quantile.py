@@ -53,9 +53,9 @@ class CostQuantile(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the least quantile as ``objective``, a certified ``lower_bound``, and a
-        lottery over at most two policies; of those with this quantile, one whose cost is within it
-        most often.
+        the problem; its solution has the least quantile as ``objective``, a certified
+        ``lower_bound``, and a lottery over at most two policies; of those with this quantile, one
+        whose cost is within it most often.
 
     Raises:
         ModelError: a level or a budget that is not a number or out of range, or an unknown start.

@@ -46,8 +46,8 @@ class CVaR(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the least conditional value at risk as ``objective``, a certified
-        ``lower_bound``, the ``failure_price``, and a lottery over at most two policies.
+        the problem; its solution has the least conditional value at risk as ``objective``, a
+        certified ``lower_bound``, the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
         ModelError: a level or a budget that is not a number or out of range, or an unknown start.

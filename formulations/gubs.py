@@ -46,7 +46,7 @@ class GUBS(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the greatest expected utility as ``objective``, a certified
+        the problem; its solution has the greatest expected utility as ``objective``, a certified
         ``upper_bound``, and one deterministic policy of (state, accumulated cost).
 
     Raises:

@@ -41,7 +41,7 @@ class ISSPUDE(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the least cost given success as ``objective``, a certified
+        the problem; its solution has the least cost given success as ``objective``, a certified
         ``lower_bound``, and one deterministic stationary policy.
 
     Raises:

@@ -43,8 +43,8 @@ class LeastQuantity(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the least value as ``objective``, a certified ``lower_bound``, the
-        ``prices`` of all rows, and a lottery over at most (active rows + 1) policies.
+        the problem; its solution has the least value as ``objective``, a certified ``lower_bound``,
+        the ``prices`` of all rows, and a lottery over at most (active rows + 1) policies.
 
     Raises:
         ModelError: a budget or a discount out of range, an unknown start or ``give_up``, or costs

@@ -43,8 +43,8 @@ class MaxProb(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,
-        and one deterministic stationary policy.
+        the problem; its solution has the greatest probability as ``objective``, a certified
+        ``upper_bound``, and one deterministic stationary policy.
 
     Raises:
         ModelError: an unknown start or ``give_up``.

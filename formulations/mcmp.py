@@ -47,8 +47,8 @@ class MCMP(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the
-        ``failure_price``, and a lottery over at most two policies.
+        the problem; its solution has the least cost as ``objective``, a certified ``lower_bound``,
+        the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
         ModelError: a budget, a share or a discount out of range, a budget and a share, an unknown

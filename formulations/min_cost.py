@@ -39,8 +39,8 @@ class MinCost(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, and one
-        deterministic stationary policy; ``failure_price`` is infinite.
+        the problem; its solution has the least cost as ``objective``, a certified ``lower_bound``,
+        and one deterministic stationary policy; ``failure_price`` is infinite.
 
     Raises:
         ModelError: an unknown start.

@@ -38,8 +38,8 @@ class MinProb(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the least probability as ``objective``, a certified ``lower_bound``,
-        and one deterministic stationary policy.
+        the problem; its solution has the least probability as ``objective``, a certified
+        ``lower_bound``, and one deterministic stationary policy.
 
     Raises:
         ModelError: an unknown start.

@@ -54,7 +54,7 @@ class S3P(Formulation):
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: the least cost given success as ``objective``, a certified
+        the problem; its solution has the least cost given success as ``objective``, a certified
         ``lower_bound``, the ``failure_price``, and a lottery over at most two policies.
 
     Raises:

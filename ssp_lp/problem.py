@@ -281,7 +281,7 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayere
 
 @dataclass(frozen=True, eq=False)
 class Restated(Problem):
-    """A problem on its model with other costs or another worth, and the same limits."""
+    """A problem restated on the same model and limits, with other costs or another worth."""
 
     model: SSP
     start: Start
@@ -378,7 +378,7 @@ def check_explorable(problem: Problem) -> None:
             raise ModelError(f"start: {state!r} is not a state in which {whole!r} may begin")
     name, more = type(problem).__name__, ": build the whole model, SSP.from_successors(...)"
     if problem.ratio or problem.semantics.counts_law:
-        raise ModelError(f"{name} counts the total cost of a run, which is not explored{more}")
+        raise ModelError(f"implicit models do not support the total costs of {name}{more}")
     if problem.horizon is not None:
         hint = ", or count the steps in its states"
         raise ModelError(Argument("horizon"), f" does not support an implicit model{more}{hint}")

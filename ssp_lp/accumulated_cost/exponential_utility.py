@@ -57,9 +57,9 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachP
 def pairs_keeping_goal(model: SSP, greatest: GoalReach) -> BoolArray:
     """Return a mask of the pairs that preserve the greatest goal probability, [pairs].
 
-    A loss up to the failure floor is allowed, as a pair of smaller loss could be optimal up to a
-    cost beyond every cap. The loss of a tail on these pairs is part of the gap between its value
-    and the bound.
+    Pairs that lose no more than the failure floor are included, because such a pair could stay
+    optimal until the cost exceeds every cap. What a tail on these pairs loses is part of the gap
+    between the tail's value and the bound.
     """
     floor = FAILURE_FLOOR * greatest.goal[model.pair_state]
     return greatest.usable | (_lost_goal(model, greatest) <= floor)

@@ -123,7 +123,7 @@ class LayerMoves:
         return max(self.layers.width - 1, 1)
 
     def pairs(self, layer: int, states: IntArray) -> IntArray:
-        """Return the pairs of the policy in a layer, or codes; ENDED at ends, like ``states``."""
+        """Return the policy's pair in a layer for each of the states, or a code (ENDED at ends)."""
         decision = self.layers.decision[layer][states]
         pair = np.where(decision < 0, decision, self.model.pair_offsets[states] + decision)
         return np.where(self.acting[states], pair, ENDED)

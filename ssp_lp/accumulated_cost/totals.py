@@ -171,10 +171,10 @@ def multiples_of_unit(model: SSP, counted: BoolArray) -> StepClasses:
 
     Args:
         model: the model.
-        counted: successors of steps whose cost must be remembered, [states].
+        counted: states such that the cost of a step into them must be remembered, [states].
 
     Raises:
-        ModelError: the costs have no common unit that gives a sane number of layers.
+        ModelError: the costs have no common unit, or too small a one for the number of layers.
     """
     costs = _costs_into(model, counted)
     unit = common_unit(costs, model.exact_costs)

@@ -385,7 +385,7 @@ def failing_in_words(ends: Mapping[str, float]) -> str:
 
 
 def giving_up_in_words(policy: MixedPolicy, problem: Problem, share: float) -> str:
-    """Return where the evaluated policy gives up first, and how often before the first step.
+    """Return the states in which a policy gives up first, and how often before any step.
 
     Args:
         policy: of the problem.
@@ -592,7 +592,9 @@ def _check_giving_up(chain: Chain, problem: Problem) -> None:
     forbidden = np.isinf(_give_up_costs(chain, semantics, free))
     if forbidden.any():
         state = chain.model.states[int(chain.state[int(np.argmax(forbidden))])]
-        raise ModelError(f"the policy gives up in state {state!r}: not with {semantics.give_up!s}")
+        raise ModelError(
+            f"the policy gives up in state {state!r}, against give_up={str(semantics.give_up)!r}"
+        )
 
 
 def _lost_costs(

@@ -109,7 +109,8 @@ class LayeredPricing(PricingProblem):
 
         Args:
             layer: the layer.
-            swept: the column of beginning in the first layer, with its choice from ``layer`` on.
+            swept: the column of an episode that begins in the first layer; its choice is known from
+                ``layer`` on.
             measures: cost, failure and goal of the column; None: not known yet.
         """
         if layer == 0 and swept.by_layer is not None:
@@ -237,8 +238,8 @@ class LayeredPricing(PricingProblem):
         """Lower values, [cap, nodes], to a checked sub-solution of the pricing problem.
 
         The sweep starts from the lower bound beyond the cap and subtracts the rounding error of
-        every backup. Infinite values give the best bound; the proof then carries its choice, if
-        this can be followed.
+        every backup. Infinite values give the best bound; the proof then also holds the choice that
+        attains this bound, if the choice can be followed by a forward sweep.
 
         Raises:
             ModelError: values have the wrong shape.

@@ -211,9 +211,9 @@ class OpenEndedPricing(PricingProblem):
 
         Args:
             sweep: over the layers.
-            priced: with lower bounds beyond the cap.
+            priced: weights of the layers' rewards, and lower bounds of the values beyond the cap.
             values: upper limits of the lowered values, [states].
-            last: lower bounds beyond the cap, [nodes].
+            last: the same lower bounds for the states of the last layer, [nodes].
         """
         layered = self.augmented
         given = values[:-1].reshape(layered.cap + 1, layered.base.n_nodes)

@@ -85,14 +85,14 @@ def share_rows(
     Args:
         indptr: offsets of each row's numbers, [rows + 1].
         numbers: positive, [entries].
-        begins: written: position of each row's first number in the data, [rows].
-        data: written from ``used`` on.
+        begins: written, the position in ``data`` of each row's first number, [rows].
+        data: written from position ``used`` on.
         slots: a hash table: position of a row with this hash, -1 if none; its size is a power of
             two, and at least twice the size of the data.
-        used: number of data that are used.
+        used: number of entries of ``data`` that are taken already.
 
     Returns:
-        The number of data that are used now; -1 if the space does not suffice.
+        The number of entries that are taken now; -1 if the space does not suffice.
     """
     bits, shared = numbers.view(np.uint64), data.view(np.uint64)
     for row in range(begins.size):

@@ -71,7 +71,9 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
     status, ranging = solver.getRanging()
     if status != highspy.HighsStatus.kOk or not ranging.valid:
         words = solver.modelStatusToString(solver.getModelStatus())
-        raise SolverError(f"HiGHS has no ranges of bounds: the program is {words.lower()}")
+        raise SolverError(
+            f"HiGHS cannot compute how far the bounds may change: the program is {words.lower()}"
+        )
     basis, activity = solver.getBasis().row_status, solver.getSolution().row_value
     low, high = ranging.row_bound_dn.value_, ranging.row_bound_up.value_
     places = {name: program.rows[name].start for name in rows}

@@ -212,8 +212,8 @@ class Frontier(Report):
 
     Between two points the optimum is their lottery: the cost is piecewise linear and convex in the
     failure. In case S ``cost`` is E[cost; goal], and the objective is cost / goal along a segment.
-    Under a discount all three are discounted. Over another limit, ``spent`` is its quantity, in
-    place of the failure.
+    Under a discount all three are discounted. If the frontier is over another limit, ``spent`` is
+    the limited quantity, in place of the failure.
     """
 
     spent: FloatArray  # [points] increasing: the traced quantity, by default the failure
@@ -650,7 +650,7 @@ class _Columns:
         return sorted(self._columns, key=lambda column: column.failure)
 
     def look(self, p: Column, q: Column) -> tuple[float, Column | None]:
-        """Price at a segment's slope; return the relative gap below and the column found."""
+        """Call pricing at a segment's slope; return the relative gap below it, and the column."""
         price = max((p.cost - q.cost) / excess_failure(q, p), 0.0)
         below, gap = self._below.get(p.failure, 1.0), self.limits.gap
         column = self._priced.get(price)

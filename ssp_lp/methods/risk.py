@@ -256,7 +256,7 @@ class _Question(ABC):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _WithinBudget(_Question):
-    """Policies with a limit on failure alone. With least failure, the price has no effect."""
+    """Policies with a limit on failure alone; for least failure its price has no effect."""
 
     compiled: CompiledLayered
 

@@ -302,7 +302,7 @@ def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | Non
 
 
 def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
-    """Return the search, carried over to a process with a higher cap; None: it has no cap.
+    """Return the search on a process with a higher cap; None if the process has no cap.
 
     The failure and the row activities of its policies do not change, so that the lottery still
     satisfies the rows.
@@ -407,7 +407,7 @@ def true_lottery(
 
 
 def _luck(compiled: CompiledExplicit) -> float:
-    """Return the goal probability that may come from the tolerance of a limit."""
+    """Return the most goal probability that a policy may gain by the tolerance of a limit."""
     is_told = compiled.by_goal or not compiled.ratio or compiled.limits_failure
     return 0.0 if is_told else _LUCK * compiled.greatest_goal
 

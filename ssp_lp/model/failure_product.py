@@ -82,7 +82,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def lost(self) -> BoolArray:
-        """States before failing that are dead-ends of the original, [states]."""
+        """States without the label of failing whose original is a dead-end, [states]."""
         dead = dead_ends(self.original)
         return np.append(dead, np.zeros_like(dead))
 

@@ -101,7 +101,7 @@ class CostAwarePolicy(Policy):
         return "cost paid"
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the cost paid so far of each layer, then the tails by number."""
+        """Return what each memory means: a layer's cost paid so far, or the number of a tail."""
         layers = [layer * self.unit for layer in range(self.cap)]
         paid = layers if self.levels is None else self.levels[:-1].tolist()
         return list(enumerate([*paid, *(f"tail {k}" for k in range(len(self.tails)))]))

@@ -195,7 +195,8 @@ def dead_end_charges(
 ) -> FloatArray:
     """Return the charge of entering each dead-end once, its least expected stage cost, [states].
 
-    It is 0 for other states, for dead-ends without actions and without ``charge_failing_step``.
+    It is 0 for other states and for dead-ends that have no actions. Without
+    ``charge_failing_step`` it is 0 everywhere.
 
     Args:
         dead: dead-ends, [states].
@@ -444,7 +445,7 @@ class Counting:
         return cost / self.departs, float(self.start @ entering)
 
     def arrivals(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Return the probability of entering states until failing, [pairs], and at the start."""
+        """Return the probability of entering states before failing, [pairs], and at the start."""
         into = self.quotient.at_pairs(successor_means(self.quotient.model, states))
         ended = states & (self.quotient.node_of < 0)
         return self.survival * into / self.departs, float(self.start[ended].sum())

@@ -138,8 +138,8 @@ def least_goal_reach(
 ) -> GoalReach:
     """Solve MINPROB: the least E[survival^T; goal] from every state; 0 at attention states.
 
-    Equations are solved only for states that cannot avoid the goal surely but can reach an
-    attention state; from all other such states the goal is reached surely.
+    Equations are solved only for states from which an attention state can be reached and the goal
+    cannot surely be avoided. From states that can reach no attention state the goal is sure.
     """
     attention = graph.attention_states(model)
     bound_to = model.goal_mask

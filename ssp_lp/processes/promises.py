@@ -136,7 +136,7 @@ class _Traces(Followed):
         return self.task.automaton(model)
 
     def term(self, product: TrackedSSP) -> ArrivalTerm:
-        """Return the term of goals at which the trace satisfies the task."""
+        """Return the term that counts reaching a goal with a trace that satisfies the task."""
         return ArrivalTerm(product, product.goal_mask & self.task.satisfied(product), final=True)
 
 

@@ -56,9 +56,9 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
         time_limit: seconds.
 
     Returns:
-        The solution of the problem at (or just beside) the worst probabilities, which its model
-        has, with the robust policy. ``objective`` is the policy's worst value over the boxes,
-        and the bound holds for every policy's worst value.
+        The robust policy, as the solution of the problem at (or just beside) the worst
+        probabilities, which are those of the solution's model. ``objective`` is the policy's worst
+        value over the boxes, and the bound holds for every policy's worst value.
 
     Raises:
         InfeasibleError: failing is forbidden, and no policy reaches the goal surely at all

@@ -368,10 +368,10 @@ _BAD_LABEL = re.compile(r'["\\\x00-\x1f]|//')
 def exported(model: SSP, start: Hashable) -> RawModel:
     """Return a model as a raw model for another tool, in which each action has one cost.
 
-    Its states are those of the model, then states that pay: an outcome that costs more than the
-    cheapest one of its action leads to its successor through a state that pays the rest. Goal
-    states and dead-ends have a loop. Names of actions and costs are words, distinct among costs and
-    among the actions of a state; the successors of a pair increase.
+    Its states are those of the model, then states that pay: if an outcome costs more than the
+    cheapest outcome of its action, it leads to its successor through a state that pays the rest.
+    Goal states and dead-ends have a loop. Names of actions and costs are words: no two costs share
+    a name, nor do two actions of a state. The successors of each pair are in increasing order.
 
     Args:
         model: the model.
