@@ -389,11 +389,16 @@ class Totals:
 
     @cached_property
     def beyond(self) -> FloatArray:
-        """The totals from the cap on that a step from below it reaches, increasing, [beyond]."""
+        """The totals from the cap on that a step from below it reaches, increasing, [beyond].
+
+        If all sums below the cap are totals, larger ones count, too: no run takes such steps, but
+        every layer has all pairs.
+        """
         if self.unit is not None:
             return totals_of(self.size + np.arange(len(self.steps) - 1), self.unit)
         reached = self.values[:-1, None] + self.steps[1:]
-        beyond = np.unique(reached[reached >= self.values[-1] - self._room])
+        least = self.values[-2] + self._room if self.complete else self.values[-1] - self._room
+        beyond = np.unique(reached[reached > least])
         return beyond[np.diff(beyond, prepend=-np.inf) > self._room]
 
     @property

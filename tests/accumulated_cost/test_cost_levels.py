@@ -9,7 +9,7 @@ import pytest
 from formulations import GUBS, MCMP, S3P
 from played import ROOT, ferry
 from small_models import model_of
-from ssp_lp import InfeasibleError, ModelError, certify, evaluate, secondary_cost, solve
+from ssp_lp import SSP, InfeasibleError, ModelError, certify, evaluate, secondary_cost, solve
 from ssp_lp.accumulated_cost import process
 from ssp_lp.accumulated_cost.totals import (
     Totals,
@@ -203,3 +203,18 @@ def test_a_table_that_cannot_grow_is_searched_to_the_end(last):
     mixed = (1 - share) * 0.9 * last + share * 0.5 + 0.8 * (1.0 + ROOT)
     assert solution.objective <= mixed / 0.8 * (1 + 1e-12)
     check_proved(solution)
+
+
+def test_steps_that_no_run_takes_lead_to_layers_too():
+    """No run pays 1e-9 twice, but each layer has all pairs: that sum lies below the cap."""
+    totals = Totals(np.array([0.0, 1e-9, 1.5e-9, 10.0]), np.array([0.0, 1e-9, 1.5e-9, 3.3]), True)
+    assert totals.reached.max() < len(totals.with_beyond)
+    assert (np.diff(totals.with_beyond) > 0.0).all()
+    risky = [(5 / 7, "home", 1.5e-9), (1 / 7, "walk", 1.5e-9), (1 / 7, "walk", 1e-9)]
+    fast = [(0.6, "home", 1.5e-9), (0.2, "home", 3.3), (0.2, "wall", 1e-9)]
+    walk = [(0.5, "ditch", 3.3), (0.5, "home", 3.3)]
+    choices = {"s": {"risky": risky, "fast": fast}, "walk": {"on": walk}}
+    model = SSP.from_transitions(choices, {"home"}, dead_ends={"wall", "ditch"})
+    solution = solve(GUBS(model, "s", lambda cost: np.maximum(1.0 - cost / 10.0, 0.0), 0.7))
+    assert solution.objective == pytest.approx(5 / 7 + 0.67 / 7 + 0.6, abs=1e-8)
+    assert solution.gap <= 1e-9
