@@ -378,7 +378,7 @@ def check_explorable(problem: Problem) -> None:
             raise ModelError(f"start: {state!r} is not a state in which {whole!r} may begin")
     name, more = type(problem).__name__, ": build the whole model, SSP.from_successors(...)"
     if problem.ratio or problem.semantics.counts_law:
-        raise ModelError(f"implicit models do not support the total costs of {name}{more}")
+        raise ModelError(f"an implicit model has no total cost of a run for {name}{more}")
     if problem.horizon is not None:
         hint = ", or count the steps in its states"
         raise ModelError(Argument("horizon"), f" does not support an implicit model{more}{hint}")
