@@ -18,13 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import ssp_lp
 from ssp_lp import SSP, ModelError, Solution, io
 from ssp_lp.analysis.simulation import Estimate
-from ssp_lp.errors import (
-    Argument,
-    SolverError,
-    check_whole,
-    did_you_mean,
-    optional_module,
-)
+from ssp_lp.errors import Argument, SolverError, check_whole, did_you_mean, optional_module
 from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
 from ssp_lp.io.any_format import Start
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json

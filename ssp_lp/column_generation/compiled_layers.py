@@ -17,7 +17,7 @@ from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep, at_price
 from ssp_lp.accumulated_cost.totals import CAP_MARGIN, MOST_GROWTH, layers_within, step_costs
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.arrays import MACHINE_EPSILON, ROUNDED, FloatArray, IntArray
 from ssp_lp.column_generation.column import (
     Column,
     FailureRow,
@@ -43,9 +43,6 @@ from ssp_lp.model.graph import dead_ends, goal_approach
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.live_rows import uniform_cost
-
-_SAME = 1e-14
-"""Relative difference of values that is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,14 +263,14 @@ class LayeredPricing(PricingProblem):
         process, failing = self.process, 0.0 if slack else price
         tails = process.beyond_value(price, failing)
         least = process.beyond_bound(price, failing)
-        same = tails - least <= _SAME * (np.abs(tails) + np.abs(least))
+        same = tails - least <= ROUNDED * (np.abs(tails) + np.abs(least))
         lost = np.where(same, 0.0, tails - least)
         if not lost.any():
             return 0.0
         if proof is not None and proof.choice is not None:
             left = self.sweep.mass_beyond(proof.choice)
             most = float((left[: len(lost)] * lost).sum())
-            if most <= _SAME * abs(proof.bound):
+            if most <= ROUNDED * abs(proof.bound):
                 return most
         followed = at_price(self.sweep, price, failing)
         reached = float(self.sweep.bound(followed, self.anything)[0][0])
@@ -295,7 +292,7 @@ class LayeredPricing(PricingProblem):
         return self.process.policy(required(column.choice), column.tail_price)
 
 
-_NEARLY = 1.25  # the same of a trial by sums, whose number grows faster than the cap
+_NEARLY = 1.25  # first cap of a trial by sums, in costs given success of a way to the goal
 
 _MOST_LAYERS = 100_000
 """Most layers of a charge that never settles; the gap that remains is reported."""

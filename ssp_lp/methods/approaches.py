@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from operator import methodcaller
 
 import numpy as np
 
@@ -118,7 +117,10 @@ APPROACHES = (
 
 def approach_to(case: Case) -> _Approach:
     """Return the approach that answers a case."""
-    return next(filter(methodcaller("answers", case), APPROACHES))
+    for approach in APPROACHES:
+        if approach.answers(case):
+            break
+    return approach
 
 
 def refusal(problem: Problem, method: options.Method) -> ModelError | None:

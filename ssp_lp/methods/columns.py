@@ -49,11 +49,7 @@ from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import (
-    Aim,
-    FailureSemantics,
-    ObjectiveSense,
-)
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, ObjectiveSense
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.solution import Answer, Run, Solution, assembled, remarks
 

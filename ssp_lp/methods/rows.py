@@ -136,8 +136,7 @@ def _may_be_rarer(
         replace(row, bound=row.bound - _TIGHTER * abs(row.bound)) for row in stated.side
     )
     try:
-        goals = replace(stated, by_goal=True, side=tighter, priced=None)
-        rarer = rows_optimum(goals, options)
+        rarer = rows_optimum(replace(stated, by_goal=True, side=tighter, priced=None), options)
     except (InfeasibleError, SolverError):
         return False
     return not rarer.granted and rarer.value < optimum.value * (1.0 - options.tolerance)
@@ -434,18 +433,18 @@ def true_figures(
         """Return the minimised value of a lottery; ``constant - value`` is its own inverse."""
         return stated.sense.worth(evaluate(policy, unlimited).objective)
 
-    value = value or own_value
-
     def figures(policy: Policy) -> FloatArray:
         """Return cost, failure and rows of one policy, [rewards]."""
-        evaluation = evaluate(policy, problem)
-        goal = evaluation.limited_goal
-        cost = value(MixedPolicy((policy,), np.ones(1))) if goal > 0.0 or not stated.ratio else 0.0
+        evaluation, alone = evaluate(policy, problem), MixedPolicy((policy,), np.ones(1))
+        goal, cost = evaluation.limited_goal, 0.0
+        if not stated.ratio:
+            cost = (value or own_value)(alone)
+        elif goal > 0.0:
+            cost = goal * (value(alone) if value else evaluation.objective)
         ending = -goal if stated.by_goal else evaluation.limited_failure
-        cost *= goal if stated.ratio else 1.0
         return np.array([cost, ending, *row_activities(stated, evaluation)])
 
-    return value, figures
+    return value or own_value, figures
 
 
 def row_activities(stated: CompiledExplicit, evaluation: Evaluation) -> list[float]:

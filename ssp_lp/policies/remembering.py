@@ -527,9 +527,10 @@ def acting_everywhere(
 ) -> MixedPolicy:
     """Return a policy that acts in every state of its model that has actions, except at goals.
 
-    It acts as the given policy where that has a decision. After giving up, and in dead-ends, it
-    goes on as the policy does if its problem counts quantities then; otherwise it surely avoids the
-    goal if it can. ``default`` takes precedence over that, and over ``otherwise``.
+    It acts as the given policy where that has a decision. After giving up and in dead-ends it acts
+    as the given policy does there, if quantities that follow failing count in the policy's problem;
+    otherwise it avoids the goal surely, if possible. ``default`` takes precedence over these rules
+    and over ``otherwise``.
 
     Args:
         policy: any policy, or a lottery.
@@ -537,7 +538,8 @@ def acting_everywhere(
             memory; None: none.
         otherwise: pairs where the policy has no decision, [states]; None: the first of each state.
             ``Solution.policy_everywhere`` uses better ones.
-        afterwards: pairs after giving up and in dead-ends, [states]; None: that avoid the goal.
+        afterwards: pairs after giving up and in dead-ends, [states]; None: pairs that avoid
+            the goal.
 
     Raises:
         ModelError: an unknown state or action, or a default that is a policy of another model.
