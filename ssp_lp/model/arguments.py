@@ -16,14 +16,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.errors import (
-    ModelError,
-    SSPError,
-    check_call,
-    check_flag,
-    in_short,
-    is_number,
-)
+from ssp_lp.errors import ModelError, SSPError, check_call, check_flag, in_short, is_number
 
 _Given = ParamSpec("_Given")
 _Answer = TypeVar("_Answer")

@@ -142,7 +142,8 @@ class Exploration:
         """Expand the states with these numbers that are not expanded yet."""
         here = [k for k in dict.fromkeys(wanted) if not self.is_expanded[k]]
         flat, states = self.flat.arrays, self.flat.states
-        for numbers in [here] * bool(here) if self.whole.is_vectorised else ([k] for k in here):
+        batches = [here] if self.whole.is_vectorised else [[number] for number in here]
+        for numbers in filter(None, batches):
             check_time()
             begin, paid = len(flat["costs"]), list[float]()
             if self.whole.is_vectorised:

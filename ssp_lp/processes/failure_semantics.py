@@ -235,7 +235,7 @@ def give_up_charges(
         elif semantics.give_up is GiveUp.ATTENTION:
             costs = np.where(attention_pairs(model, allowed), costs, np.inf)
         least = segment_minima(costs, model.pair_offsets)
-        charge = np.where(allowed & np.isfinite(least), least, charge)
+        charge = np.where(allowed & (np.isfinite(least) | (label is None)), least, charge)
     charge[wandering] = 0.0
     return charge
 
@@ -278,7 +278,7 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
         if not is_number(probability):
             given = in_short(probability)
             raise ModelError(f"start probability of state {state!r} must be a number, not {given}")
-        if not 0.0 <= float(probability) <= 1.0 + PROBABILITY_SUM:
+        if not 0.0 <= float(probability) <= 1.0 + 1e-12:
             raise ModelError(f"start probability of state {state!r} is {probability!r}")
         distribution[model.index_of(state, "start")] += float(probability)
     total = float(distribution.sum())
