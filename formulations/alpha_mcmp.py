@@ -20,12 +20,13 @@ class AlphaMCMP(Formulation):
 
     Guarantee:
         a lottery over at most two deterministic stationary policies attains the optimum. The cost
-        is a convex function of the share; with the published semantics it is linear from 0 up to
-        the policy of least cost per probability, since giving up at the start is free.
+        is a convex function of the share. With the published semantics it is linear from 0 up to
+        the share of the policy with the least cost per goal probability, since giving up at the
+        start is free.
 
     Semantics:
         as published, giving up is allowed anywhere and costs nothing. ``MCMP(reach_fraction=...)``
-        is the same criterion, which may be discounted as well.
+        is the same criterion and also takes a discount.
 
     Reference:
         alpha-MCMP, BRACIS 2023; the program is that of Trevizan, Teichteil-Koenigsbuch and

@@ -44,9 +44,9 @@ class CriterionRow:
     def numbers(self) -> tuple[float | None, ...]:
         """Numbers of a compared criterion: objective, costs, failure probability and price.
 
-        Each follows its own criterion's semantics: by default ``MCMP`` and ``ConstrainedCost``
-        charge the failing step, the others do not, so that the same policy may cost less in their
-        rows.
+        Each row follows the semantics of its criterion. By default ``MCMP`` and ``ConstrainedCost``
+        charge the failing step. The other criteria do not, so the same policy may cost less in
+        their rows.
         ``FinitePenalty`` and ``AlphaMCMP`` let a policy give up anywhere.
         """
         solution = self.solution

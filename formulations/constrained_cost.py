@@ -35,9 +35,10 @@ class ConstrainedCost(Formulation):
         cost in its bound. An infeasible problem names rows that contradict each other, with proof.
 
     Semantics:
-        every secondary cost is counted as the cost is: until failure is declared, with
-        ``charge_failing_step`` charging the least of that cost, and discounted if a discount is
-        given. Policies that pay any of the costs for ever are excluded. With least failure the
+        every secondary cost is counted like the cost: until failure is declared, and discounted if
+        a discount is given. With ``charge_failing_step`` failing is charged the least secondary
+        cost of the step. Policies that pay any of the costs for ever are excluded. With least
+        failure the
         limits choose among the policies of the greatest goal probability.
 
     Reference:

@@ -20,12 +20,13 @@ class CostBoundedReach(Formulation):
     Program:
         minimise <-in time, x> subject to flow balance, <failure, x> <= failure_budget, x >= 0 over
         states x accumulated cost (paper, section 3.1.1), with one layer per unit of cost up to the
-        bound and none beyond it: there only the goal probability still counts.
+        bound. Beyond the bound there are no layers, since only the goal probability counts there.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
-        optimum, without a budget a single one. The table of costs ends at the bound: nothing is
-        truncated. ``upper_bound`` comes from a checked sub-solution of the priced problem.
+        optimum; without a budget one policy suffices. The table of costs ends at the bound, so
+        nothing is truncated. ``upper_bound`` comes from a checked sub-solution of the priced
+        problem.
 
     Semantics:
         exact; costs and bound are compared as exact decimals or fractions, so that three steps of

@@ -26,13 +26,13 @@ class CostQuantile(Formulation):
         for a bound B, minimise <late, x> / <goal, x> subject to flow balance, <failure, x> <=
         failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1), where late
         counts the arrivals beyond B: the program of ``S3P`` with another charge. Its optimum falls
-        as B grows, and Newton's method finds B: at given prices one sweep refutes all bounds that
-        these prices can refute.
+        as B grows, and Newton's method finds B. At given prices one sweep rules out all bounds B
+        that these prices can rule out.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
-        optimum. ``lower_bound`` is the least B that no checked sub-solution refutes; it equals the
-        objective unless time runs out.
+        optimum. ``lower_bound`` is the least B that no checked sub-solution rules out; it equals
+        the objective unless time runs out.
 
     Semantics:
         exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. Without a
@@ -54,8 +54,8 @@ class CostQuantile(Formulation):
 
     Returns:
         the problem; its solution has the least quantile as ``objective``, a certified
-        ``lower_bound``, and a lottery over at most two policies; of those with this quantile, one
-        whose cost is within it most often.
+        ``lower_bound``, and a lottery over at most two policies. Among the lotteries with this
+        quantile it is one whose cost is most often within the quantile.
 
     Raises:
         ModelError: a level or a budget that is not a number or out of range, or an unknown start.

@@ -19,18 +19,19 @@ class CVaR(Formulation):
     Program:
         for a threshold z, minimise <integrand, x> / <goal, x> subject to flow balance, <failure,
         x> <= failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1): the
-        program of ``S3P`` with a kink in the charge of an arrival. The minimum over z is attained,
-        for any policy, at its quantile and so at a total that can occur.
+        program of ``S3P`` with a kink in the charge of an arrival. For every policy the minimum
+        over z is attained at its quantile, which is a total that can occur.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
-        optimum. Every threshold is refuted by a checked sub-solution, for itself or for an interval
-        around it, or because no tail mean is below its own threshold: ``lower_bound`` is the least
-        of these bounds.
+        optimum. Every threshold has a lower bound: from a checked sub-solution, for itself or for
+        an interval around it, or its own value, since no tail mean is below its threshold.
+        ``lower_bound`` is the least of these bounds.
 
     Semantics:
-        exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. An atom at
-        the quantile of a law belongs to the tail in part, so that the tail has its exact share.
+        exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. If a part of
+        the runs cost exactly the quantile, the tail takes only as many of them as it needs to have
+        the share ``1 - level``.
 
     Reference:
         Rockafellar and Uryasev, Journal of Risk 2, 2000; for stochastic shortest paths

@@ -21,13 +21,13 @@ class FinitePenalty(Formulation):
 
     Guarantee:
         a deterministic stationary policy attains the optimum. ``failure_price`` is the penalty, and
-        the policy is optimal for ``MCMP`` with its own failure as the budget: as the penalty grows
-        the optima run along the tangents of MCMP's frontier, each of slope minus the penalty.
+        the policy is optimal for ``MCMP`` with its own failure as the budget: the optimum is the
+        point at which a line of slope ``-penalty`` touches MCMP's frontier.
 
     Semantics:
-        ``give_up`` and ``charge_failing_step`` as in ``MCMP``, by default as published: giving up,
-        anywhere, costs the penalty and nothing else. With a ``discount`` the cost is
-        discounted and the penalty falls on the discounted failure. ``expected_cost`` is the cost
+        ``give_up`` and ``charge_failing_step`` as in ``MCMP``, by default as published: a policy
+        may give up anywhere and pays only the penalty. With a ``discount`` the cost is discounted
+        and the penalty multiplies the discounted failure. ``expected_cost`` is the cost
         without the penalty.
 
     Reference:

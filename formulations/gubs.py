@@ -14,8 +14,8 @@ class GUBS(Formulation):
 
     Problem:
         C is the total cost of a run, infinite if the goal is not reached (goals with
-        utility-based semantics). The bonus says how much cost a small gain in probability is worth,
-        which neither a lexicographic order nor a penalty can say consistently.
+        utility-based semantics). The bonus states how much cost a small gain in probability is
+        worth. Neither a lexicographic order nor a penalty can state this consistently.
 
     Program:
         minimise <-worth, x> subject to flow balance, x >= 0 over states x accumulated cost (paper,

@@ -1,4 +1,4 @@
-"""ISSPUDE: an infinite price for failing, the cost of the successful runs second."""
+"""ISSPUDE: greatest goal probability first, then least cost of the successful runs."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ class ISSPUDE(Formulation):
 
     Semantics:
         the cost of failing runs does not matter. ``S3P(failure_budget=None)`` has the same optimum
-        and the same policies; it states the two stages for costs of any kind, in dead-ends too, and
-        relaxes the first one to a budget (``S3P(failure_budget=...)``). ``MCMP`` with least failure
+        and the same policies. It defines the two stages for costs of any kind, also in dead-ends,
+        and ``S3P(failure_budget=...)`` relaxes the first stage to a budget. ``MCMP`` with least
+        failure
         shares the first stage; its second stage also counts the cost of failing runs, up to the
         failure.
 

@@ -51,8 +51,8 @@ class MCMP(Formulation):
         the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
-        ModelError: a budget, a share or a discount out of range, a budget and a share, an unknown
-            start or ``give_up``.
+        ModelError: a budget, a share or a discount out of range, both a budget and a share, an
+            unknown start or ``give_up``.
 
     Example:
         >>> from ssp_lp import SSP, solve

@@ -24,8 +24,8 @@ class MinCost(Formulation):
         left by the policy: a loop of cost 0 is not a solution.
 
     Semantics:
-        exact. If no proper policy exists from the start the value is infinite and ``solve`` raises;
-        ``evaluate`` gives an improper policy the objective infinity. Whether a policy is proper is
+        exact. If no proper policy exists from the start, ``solve`` raises an error; ``evaluate``
+        gives an improper policy the objective infinity. Whether a policy is proper is
         decided on the graph, so no probability is ever compared with 1.
 
     Reference:

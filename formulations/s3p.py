@@ -32,9 +32,9 @@ class S3P(Formulation):
         optimum; with least failure (None) a policy of the state alone does.
 
     Semantics:
-        failing episodes cost nothing, so giving up needs no charge: a policy truly fails, in the
-        attention states. Accumulated cost is tracked up to a cap M and followed by tail policies
-        (section 3.5); M grows until the certified gap meets the tolerance.
+        failing episodes cost nothing, so giving up needs no charge: a policy fails by avoiding the
+        goal in attention states. Accumulated cost is tracked up to a cap M; beyond it policies
+        follow tail policies (section 3.5). M grows until the certified gap meets the tolerance.
 
     Reference:
         Teichteil-Koenigsbuch, AAAI 2012 (S3P); paper, sections 2.3, 2.5 and 3.1.1.
@@ -58,8 +58,8 @@ class S3P(Formulation):
         ``lower_bound``, the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
-        ModelError: a budget, a share, a discount or a cap out of range, a budget and a share, or
-            an unknown start.
+        ModelError: a budget, a share, a discount or a cap out of range, both a budget and a share,
+            or an unknown start.
 
     Example:
         >>> from ssp_lp import SSP, solve

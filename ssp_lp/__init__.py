@@ -18,10 +18,10 @@ __all__ = sorted(_ON_DEMAND)
 
 
 def _add_formulations() -> None:
-    """Make the criteria importable: an installed wheel holds them inside, a checkout beside it.
+    """Make the criteria importable: a wheel holds them inside the package, a checkout beside it.
 
-    In both cases the modules have the same name, so that a pickle made with the one is read with
-    the other, and another package called ``formulations`` does no harm.
+    The modules have the same names in both cases. So a pickle of one can be read with the other,
+    and another package called ``formulations`` does no harm.
     """
     inner = f"{__name__}.formulations"
     if find_spec(inner) is None:
@@ -37,7 +37,7 @@ _add_formulations()
 
 
 def __dir__() -> list[str]:
-    """Return the public names, whether they have been asked for or not."""
+    """Return all public names, including names that are not imported yet."""
     return sorted({*globals(), *__all__})
 
 

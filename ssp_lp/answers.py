@@ -1,8 +1,8 @@
 """Solve many problems side by side with processes, threads or machines; answers keep the order.
 
-Each model is sent to the workers once, as a file that they map into memory. Problems and
-answers refer to it by its place in that file: both are small, and answers refer to the caller's own
-model.
+Each model is sent to the workers once, in a file that they map into memory. Problems and answers
+name their model by its place in this file, so they are small. An answer that arrives is connected
+to the caller's own model.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
         criterion: such as ``MCMP``.
         given: its arguments in their order. Lists, ranges and arrays are swept, the last one
             fastest; any other value is used in all problems.
-        named: its arguments by name, likewise, and parameters of the model.
+        named: its arguments by name, swept in the same way, and parameters of the model.
 
     Raises:
         ModelError: an argument that the criterion rejects, an empty list, or an ambiguous name.
@@ -316,7 +316,7 @@ def _answers_to(
 
 
 class _Order(NamedTuple):
-    """Options of ``solve`` for each problem, and the end of the time for all problems."""
+    """Options of ``solve`` for each problem, and the time at which all problems must end."""
 
     method: Method | str | None
     tolerance: float

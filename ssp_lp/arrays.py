@@ -21,20 +21,20 @@ ROUNDED: Final = 1e-14
 """Rounding error of a sum or difference of few numbers, relative to the largest of them."""
 
 PROBABILITY_SUM: Final = 1e-9
-"""Largest deviation from 1 of a sum of probabilities that is divided out; beyond it, an error."""
+"""Largest deviation from 1 of a sum of probabilities that division corrects; more is an error."""
 
 SINGLE_PRECISION_SUM: Final = 1e-5
-"""As ``PROBABILITY_SUM``, where normalisation is requested: float32 or few digits."""
+"""Same limit if normalisation is requested, for probabilities in float32 or with few digits."""
 
 MAXIMISER: Final = 1e-12
 """Relative distance to the best goal probability within which an action still counts as maximising.
 
-Linear solves leave 1e-15 to 1e-14; 1e-16 drops true maximisers on the paper's robot and 1e-8 moves
-the least-failure cost by 4e-4.
+Linear solves leave errors of 1e-15 to 1e-14. On the paper's robot 1e-16 loses true maximisers, and
+1e-8 changes the cost at least failure by 4e-4.
 """
 
 LEAST_RISE: Final = 1e-300
-"""Rise of a probability below which sweeps that round down would stop."""
+"""Rise of a probability below which sweeps that round down stop."""
 
 FAILURE_FLOOR: Final = 1e-15
 """Difference of two failure probabilities that counts as 0, as a share of the goal probability.
@@ -42,8 +42,9 @@ FAILURE_FLOOR: Final = 1e-15
 Far from any hazard least failures are 1e-100 or 1e-233: a search for gains relative to these would
 not end, and no episode would show the difference. As a share of the goal probability it keeps all
 digits of rare goals, and of probabilities in components that are solved without subtractions.
-Gains are sought down to a tenth of it; where cost decides among policies with equal failure, a step
-may lose a hundred times as much. With this margin, rounding does not decide which pairs are equal.
+Policies are improved if they gain at least a tenth of it. Where cost decides among policies of
+equal failure, a step may lose a hundred times as much, so that rounding does not decide which pairs
+are equal.
 """
 
 LEAST_BUDGET: Final = 1e-10
@@ -55,8 +56,8 @@ IMPROVEMENT: Final = 1e-13
 QUANTILE: Final = 1e-12
 """Relative slack with which a mass reaches a quantile's level.
 
-The masses of many total costs sum to within 1e-15 .. 1e-13 of their true sum: an atom that ends
-exactly at the level must be found, since the next one may lie anywhere.
+Sums of the masses of many total costs have errors of 1e-15 to 1e-13. A total at which the sum
+reaches the level exactly must be found, because the next total may be much larger.
 """
 
 SAME_TOTAL: Final = 5e-13
@@ -67,9 +68,9 @@ does not fit into memory.
 """
 
 BELOW_RATIO: Final = 1.0 - 2.5e-10
-"""Share of a ratio at which it is proved once more if the budget may be slack.
+"""Share of a ratio at which the ratio is proved a second time if the budget may be slack.
 
-At that ratio failing is strictly best, so that no rounding enters (``FailureRow.lower_bound``).
+There failing is strictly best, so that rounding does not matter (``FailureRow.lower_bound``).
 """
 
 RELATIVE_GAP: Final = 1e-9
@@ -78,8 +79,9 @@ RELATIVE_GAP: Final = 1e-9
 RESIDUAL: Final = 1e-6
 """Largest relative residual with which an LP backend's answer is accepted.
 
-The answer only gives a price to start from: policies are priced at it and measured exactly, and
-the program's optimum must agree with them. Interior points after crossover leave up to 2e-7 here.
+The answer is only used for a first price. Policies are computed at this price and measured exactly,
+and the program's optimum must agree with them. Interior points after crossover leave up to 2e-7
+here.
 """
 
 
@@ -91,7 +93,7 @@ def read_only(array: npt.ArrayLike, dtype: npt.DTypeLike | None = None) -> npt.N
 
 
 class ReadOnlyCopies:
-    """Mix-in of values whose arrays stay read-only in copies and pickles, unlike plain arrays."""
+    """Mix-in that keeps arrays read-only in copies and pickles, unlike plain arrays."""
 
     def keep_read_only(self, *names: str, dtype: npt.DTypeLike | None = None) -> None:
         """Make fields read-only arrays, unless they are None, during construction."""
@@ -158,7 +160,7 @@ def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.in
 
 
 def offsets_of(lengths: IntArray) -> IntArray:
-    """Return an array of offsets: the start of each of several adjacent segments, and the end."""
+    """Return the start of each of several adjacent segments, and the end of the last one."""
     offsets = np.zeros(len(lengths) + 1, dtype=np.int64)
     np.add.accumulate(lengths, out=offsets[1:])
     return offsets
@@ -171,7 +173,7 @@ def sorted_unique(values: IntArray) -> IntArray:
 
 
 def run_starts(values: IntArray) -> BoolArray:
-    """Return a mask of the entries of an array at which a run of equal entries begins."""
+    """Return a mask of the entries that differ from the entry before them."""
     begins = np.ones(values.size, dtype=np.bool_)
     np.not_equal(values[1:], values[:-1], out=begins[1:])
     return begins

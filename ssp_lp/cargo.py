@@ -1,8 +1,8 @@
-"""Problems and answers sent between processes, in which models are named, not repeated.
+"""Problems and answers for other processes, which name their models instead of containing them.
 
-Each model is sent once, as a file that any process maps into memory. All other pickles refer to the
-model by its place in that file: problems and answers are small, and answers refer to the caller's
-own model.
+Each model is sent once, in a file that any process maps into memory. All other pickles name the
+model by its place in this file, so problems and answers are small. An answer that arrives is
+connected to the caller's own model.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _ALIGNED = 64  # bytes: arrays in a file begin at multiples, for the compiled lo
 
 
 def models_of(problems: Iterable[Problem]) -> list[SSP]:
-    """Return the distinct models of the problems, each after the models it is made of."""
+    """Return the distinct models of the problems; a product comes after its original."""
     models: dict[int, SSP] = {}
     for problem in problems:
         chain: list[SSP] = []
@@ -51,7 +51,7 @@ class _Pickler(pickle.Pickler):
         return self.places.get(id(thing)) if isinstance(thing, SSP) else None
 
     def reducer_override(self, thing: Any) -> Any:
-        """Send functions and classes of a script by value, and a cost of all outcomes only once."""
+        """Send functions and classes of a script by value, and a cost of all outcomes once."""
         if isinstance(thing, (FunctionType, type)):  # lambdas and locals cannot be imported either
             if thing.__module__ == "__main__" or "<l" in thing.__qualname__:
                 return loads, (dumps(thing),)
@@ -67,10 +67,10 @@ class _Unpickler(pickle.Unpickler):
 
 
 class Cargo:
-    """Problems and answers in transit, without the models, which a file holds by their places.
+    """Problems and answers in transit; their models are in a file and are named by their places.
 
-    For each model the file holds its arrays as they are, aligned, for any process to map; then, at
-    the model's place, its pickle without the arrays and the offsets of these.
+    For each model the file holds the arrays, aligned, so that any process can map them. Then, at
+    the model's place, follow its pickle without the arrays, and the offsets of the arrays.
     """
 
     def __init__(self, content: bytes | memoryview = b"") -> None:
@@ -139,7 +139,7 @@ class Cargo:
 
 @dataclass(frozen=True)
 class Shipment:
-    """A file of models for the answers; its content is sent along where it cannot be read."""
+    """A file of models; its content is sent to processes that cannot read the file."""
 
     path: str
     content: bytes | None = field(default=None, compare=False, repr=False)

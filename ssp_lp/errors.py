@@ -70,8 +70,8 @@ class InfeasibleError(SSPError):
 
     Attributes:
         failure_budget: the failure budget of the problem, ``None`` if it has none.
-        least_failure: the least failure probability that a known policy attains; computed on first
-            use if the graph alone shows that the problem is infeasible.
+        least_failure: the least failure probability of the known policies; computed on first use if
+            the graph alone shows that the problem is infeasible.
         least_failure_interval: certified bounds of the least failure probability of all policies;
             the second is ``least_failure``, the first is 0 if nothing is proved.
         least_discounted_failure: the least discounted failure, ``None`` in the exact setting. The
@@ -105,7 +105,7 @@ class InfeasibleError(SSPError):
 
     @property
     def least_failure_interval(self) -> tuple[float, float]:
-        """Certified lower bound of the failure of every policy, and the least that is attained."""
+        """Certified lower bound of every policy's failure, and the least one of a known policy."""
         return min(self._least_failure_bound, self.least_failure), self.least_failure
 
     def __reduce__(self) -> tuple[Callable[..., SSPError], tuple[object, ...], dict[str, object]]:
@@ -142,7 +142,7 @@ def optional_module(name: str, extra: str) -> ModuleType:
     """Import an optional package's module, or raise the error with the pip line.
 
     Args:
-        name: of the module, with that of the package in front ("matplotlib.pyplot").
+        name: full name of the module ("matplotlib.pyplot").
         extra: the extra of ``ssp-lp`` that brings the package.
 
     Raises:
@@ -160,7 +160,7 @@ def wrong_argument(name: str, wanted: str, given: object, hint: str = "") -> Mod
 
 
 def attributes_of(thing: object, *names: str) -> dict[str, Any]:
-    """Return the attributes of these names that an object has; it may be of any library."""
+    """Return those attributes of an object, of any library, that have one of these names."""
     found = {name: getattr(thing, name, _ABSENT) for name in names}
     return {name: value for name, value in found.items() if value is not _ABSENT}
 
@@ -303,7 +303,7 @@ def in_short(value: Any) -> str:
 def nearest_name(unknown: Hashable, names: Iterable[Hashable]) -> Hashable | None:
     """Return the name that an unknown one probably means, or None.
 
-    A name that reads alike counts as nearest, such as 3 for '3' or (1, 2) for [1, 2].
+    A name that prints in the same way counts as nearest, such as 3 for '3' or (1, 2) for [1, 2].
     """
     some = list(islice(names, _LOOKED_AT))
     plain = _as_read_for_error(unknown)

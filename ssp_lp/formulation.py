@@ -1,4 +1,4 @@
-"""The base class of all formulations: a criterion declares its semantics, the rest is inherited.
+"""The base class of all formulations: a criterion declares its semantics and inherits the rest.
 
 A formulation is a frozen dataclass with a model, a start, and its own arguments. It declares the
 worth of an episode (``semantics``), whether its cost counts given success (``ratio``), and the
@@ -109,7 +109,7 @@ _NUMBER_OR_NONE = ("float | None", float | None)
 class Formulation(Problem):
     """A criterion on a model with a start (see :class:`ssp_lp.problem.Problem`).
 
-    Defaults: exact, not given success, failing free and unlimited.
+    By default there is no discount, all runs count, and failing is free and unlimited.
 
     Args:
         constraints: name -> constraint on a quantity (``ssp_lp.secondary_cost``, ``visits``,
@@ -221,11 +221,11 @@ class Formulation(Problem):
 
     @cached_property
     def unrolled(self) -> Self:
-        """The formulation on the model that is solved: on (state, steps) or labelled, if needed.
+        """The formulation as it is solved, on (state, steps) or (state, failure label) if needed.
 
-        With a horizon that model is :func:`~ssp_lp.model.product.within_steps`, in which a goal
-        that is too far away is unreachable. If something counts that may come after failing, it is
-        the model of ``label_failing``. Both are built on first use.
+        With a horizon its model is :func:`~ssp_lp.model.product.within_steps`, in which a goal that
+        is too far away is unreachable. If a quantity is counted after failing, its model is the
+        model of ``label_failing``. Both are built on first use.
         """
         if self.tracked is not self:
             return self.tracked.unrolled
@@ -247,9 +247,9 @@ class Formulation(Problem):
 
     @cached_property
     def tracked(self) -> Self:
-        """The formulation on the product with the automata of its limits on whole runs.
+        """The formulation on the product with the automata of its promises and tasks.
 
-        The horizon is unchanged; without such limits this is the formulation itself.
+        The horizon is unchanged. Without promises and tasks this is the formulation itself.
         """
         if not self.all_constraints and self.quantity is None:
             return self
@@ -298,7 +298,7 @@ class Formulation(Problem):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Worth of an episode, from the class's ``give_up``, ``penalty``, ``aim`` and so on."""
+        """Worth of an episode, from the attributes ``give_up``, ``penalty``, ``aim`` and others."""
         give_up, charged = GiveUp(str(self.give_up)), bool(self.charge_failing_step)
         return FailureSemantics(give_up, charged, float(self.penalty), self.aim, self.measure)
 

@@ -36,7 +36,7 @@ class Status(StrEnum):
 
 
 Progress = Callable[[int, float, float], None]
-"""Called after each pricing call with (calls, failure price, objective)."""
+"""Function called after each pricing call with (calls, failure price, objective)."""
 
 LOGGER = "ssp_lp"
 """Logger of progress reports; its children, one for each phase ("ssp_lp.search", ...), are listed
@@ -60,14 +60,14 @@ class _Option:
 
 @dataclass(frozen=True)
 class ColumnGeneration(_Option):
-    """The default method: policies are priced one by one into a small master program."""
+    """Column generation, the default: pricing adds policies one by one to a small program."""
 
     name: ClassVar[str] = "columns"
 
 
 @dataclass(frozen=True)
 class LinearProgramming(_Option):
-    """The full linear program, whose duals then price the policies of the answer.
+    """The full linear program; pricing at its duals then finds the policies of the answer.
 
     Args:
         backend: "highs", "highs-simplex", "highs-ipx" or "cvxpy"; None: chosen by the
@@ -94,8 +94,8 @@ class Game(_Option):
     Requires a discount and a budget above 0.
 
     Args:
-        tail: in case S the paper's M, a total cost above 0: restricts policies to Pi_{M,pi'_or},
-            which fail as surely as possible once M is paid. The answer's cost is measured exactly,
+        tail: in case S the paper's M, a total cost above 0: restricts policies to Pi_{M,pi'_or}:
+            once M is paid they fail as surely as possible. The answer's cost is measured exactly,
             and its bound holds for all policies; :func:`ssp_lp.game.stationary_game` with this tail
             gives the paper's c-hat_M. None: M grows until nothing is lost beyond it.
 
@@ -187,7 +187,7 @@ class SolveOptions:
         return ColumnGeneration.name if self.program is None else self.program.name
 
     def after(self, calls: int) -> SolveOptions:
-        """Return the solve options, with progress reports that count these pricing calls, too."""
+        """Return the options with progress reports that also count these earlier pricing calls."""
         progress = self.progress
         if progress is None:
             return self
@@ -195,7 +195,7 @@ class SolveOptions:
 
 
 CERTIFYING = SolveOptions()
-"""The options of a certificate that has to search for its bound."""
+"""Options of a certificate that must search for its bound."""
 
 
 def options_of(
@@ -257,8 +257,8 @@ def progress_shown(verbose: bool = True, *, lasting: bool = True) -> Iterator[No
 
     Args:
         verbose: False: show nothing.
-        lasting: False: show a single line that is overwritten, from the second second on, and
-            removed at the end.
+        lasting: False: show only one line, from the second second on, which is overwritten and
+            finally removed.
 
     Raises:
         ModelError: an argument is neither True nor False.

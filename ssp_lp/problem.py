@@ -1,4 +1,4 @@
-"""The base class of problems, which ``solve``, ``evaluate`` and ``simulate`` take, and checks."""
+"""The base class of problems for ``solve``, ``evaluate`` and ``simulate``, and checks of them."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ EXACT = FailureSemantics()
 class Problem(ReadOnlyCopies):
     """A criterion on a model with a start and a failure budget.
 
-    The class attributes are the defaults: exact, not given success, no limits but the failure
+    The class attributes are the defaults: no discount, all runs count, no limits except the failure
     budget. If failing has a price instead of a limit, ``failure_budget`` is 1 and ``semantics`` has
-    the penalty; if only the goal counts, ``semantics`` says so.
+    the penalty. ``semantics.aim`` says whether the cost or only the goal counts.
     """
 
     model: SSP
@@ -80,11 +80,11 @@ class Problem(ReadOnlyCopies):
     discount: float | None = None  # None: exact; a number: the surrogate of section 3.5
     ratio = False  # whether the cost counts given success (case S)
     horizon: int | None = None
-    cost_cap: float | None = None  # of accumulated cost, beyond which totals are not distinguished
-    cost_levels: int | None = None  # of the grid, if costs have no unit
-    reach_fraction: float | None = None  # of the greatest goal probability, for a budget
+    cost_cap: float | None = None  # accumulated cost beyond which totals are not distinguished
+    cost_levels: int | None = None  # number of levels of the grid, if costs have no unit
+    reach_fraction: float | None = None  # share of the greatest goal probability, for a budget
     quantity: Quantity | None = None  # replaces the cost as the objective
-    box: Boxes | None = None  # of probabilities; their worst case counts
+    box: Boxes | None = None  # intervals of probabilities; their worst case counts
     penalty: float = 0.0  # price of failing; infinite: failing is forbidden
     aim = Aim.LEAST_COST
     constraints: Mapping[str, Constraint] = MappingProxyType({})
@@ -112,12 +112,12 @@ class Problem(ReadOnlyCopies):
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
-        """Constraints that the criterion itself has; none by default."""
+        """Constraints that belong to the criterion; none by default."""
         return {}
 
     @property
     def all_constraints(self) -> Mapping[str, Constraint]:
-        """Constraints of the criterion itself, and those that were stated in addition.
+        """Constraints that belong to the criterion, and the argument ``constraints``.
 
         Raises:
             ModelError: no mapping of constraints, or two constraints with the same name.
@@ -130,22 +130,22 @@ class Problem(ReadOnlyCopies):
         return {**own, **stated}
 
     def with_arguments(self, **changes: Any) -> Self:
-        """Return a copy with other arguments; a budget that follows from a share stays so."""
+        """Return a copy with other arguments; a budget given by a share stays a share."""
         return cast("Self", replace(cast("Any", self), **changes, **as_stated(self)))
 
     @property
     def tracked(self) -> Problem:
-        """The problem on the product with the automata of its limits on whole runs, if any."""
+        """The problem on the product with the automata of its promises and tasks, if it has any."""
         return self
 
     @property
     def unrolled(self) -> Problem:
-        """The problem that is solved: itself, or on (state, steps taken) or (state, label)."""
+        """The problem as it is solved: unchanged, or on (state, steps taken) or (state, label)."""
         return self
 
     @property
     def has_rows(self) -> bool:
-        """Whether a problem has constraints or an objective that need a method for rows."""
+        """Whether constraints or the objective need a method for rows."""
         return bool(self.conditions) or self.objective_condition is not None
 
     @property
@@ -173,7 +173,7 @@ class Problem(ReadOnlyCopies):
 
     @property
     def is_mean_within_budget(self) -> bool:
-        """Whether a problem is case S with a limit on failure alone."""
+        """Whether a problem is case S with the failure budget as the only limit."""
         plain = self.ratio and not (self.semantics.counts_law or self.has_rows)
         return plain and self.failure_budget is not None
 
@@ -265,11 +265,11 @@ def compiled_constrained(problem: Problem) -> CompiledExplicit:
 
 
 def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayered:
-    """Compile a problem that counts totals, failure alone being limited.
+    """Compile a problem that counts totals and limits only failure.
 
     Args:
         problem: the problem.
-        may_sum: distinguish totals by their sums if the problem allows it.
+        may_sum: allow the totals to be the sums that can occur, if this suits the problem.
     """
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
     by_sums = may_sum and problem.totals is TotalScale.SUMS
@@ -281,7 +281,7 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayere
 
 @dataclass(frozen=True, eq=False)
 class Restated(Problem):
-    """A problem restated on the same model and limits, with other costs or another worth."""
+    """A problem on the same model with the same limits, but with other costs or semantics."""
 
     model: SSP
     start: Start
@@ -303,9 +303,9 @@ _FOLLOWS = "failure_budget followed from reach_fraction (solve takes as long as 
 class FailureBudget:
     """Descriptor of ``failure_budget`` in a problem that may be given ``reach_fraction`` instead.
 
-    The budget then follows from a share of the greatest goal probability. It is computed on first
-    use, since stating a problem solves nothing: by ``solve`` within its own time limit; reading the
-    attribute takes some seconds at most, and raises OutOfTimeError after that.
+    The budget is then computed from a share of the greatest goal probability, on first use, since
+    stating a problem solves nothing. ``solve`` computes it within its own time limit. Reading the
+    attribute computes it within some seconds, or raises OutOfTimeError.
     """
 
     def __set__(self, problem: object, value: float | None) -> None:
@@ -332,7 +332,7 @@ BUDGET_OR_SHARE = FailureBudget()
 
 
 def as_stated(problem: object) -> dict[str, Any]:
-    """Return the given argument ``failure_budget`` of a problem, for a copy; empty if none was."""
+    """Return the argument ``failure_budget`` as it was given, for a copy; empty if it was not."""
     fields = vars(problem)
     return {"failure_budget": fields["_stated_budget"]} if "_stated_budget" in fields else {}
 
@@ -340,7 +340,7 @@ def as_stated(problem: object) -> dict[str, Any]:
 def budget_of_share(
     model: SSP, start: Hashable | Mapping[Hashable, float], reach_fraction: float
 ) -> GoalShare:
-    """Return a problem's failure budget by a share of the greatest goal probability.
+    """Return the failure budget that allows a share of the greatest goal probability.
 
     Args:
         model: the model.
@@ -397,7 +397,7 @@ def check_explorable(problem: Problem) -> None:
 
 
 def check_boxed(problem: Problem, box: object) -> None:
-    """Check that a problem over boxes of probabilities has a robust optimum that can be found.
+    """Check that the robust optimum of a problem over boxes of probabilities can be computed.
 
     Raises:
         ModelError: no boxes, or those of another model; constraints, a horizon or a discount;
@@ -421,7 +421,7 @@ def check_boxed(problem: Problem, box: object) -> None:
 
 
 def has_boxes(verb: str) -> ModelError:
-    """Return the error of a function that needs one model, for a problem over boxes."""
+    """Return the error of a function that needs fixed probabilities, for a problem over boxes."""
     return ModelError(
         f"{verb} needs one choice of probabilities, and the problem has boxes: pass box= to "
         "evaluate, or solve it and take solution.problem, which has the worst of them"
@@ -459,8 +459,8 @@ def on_one_model(
     """Check that a policy and a problem share a model.
 
     Returns:
-        The policy as a lottery, and the problem that is solved, both on the latter's model: with a
-        horizon that of (state, steps taken).
+        The policy as a lottery, and the problem as it is solved, both on the model of the latter:
+        with a horizon the model of (state, steps taken).
 
     Raises:
         ModelError: no policy (a solution, for instance); no problem; or two models.
@@ -492,7 +492,7 @@ def on_one_model(
 
 
 def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
-    """Return a policy of the problem that is solved, on the states of the problem as stated."""
+    """Translate a policy of the unrolled problem to the states of the problem as stated."""
     while policy.model is not problem.model:
         policy = on_original(policy)
     return policy
@@ -517,7 +517,7 @@ class _InProduct(Policy):
     model: ProductSSP
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Return the start memory of a policy restated on a problem's product, [episodes]."""
+        """Return the memory with which episodes begin, [episodes]."""
         return self.inner.start_memory(self.model.original_state[states])
 
     @property
@@ -531,7 +531,7 @@ class _InProduct(Policy):
         return self.inner.goes_on
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decisions of a policy restated on a problem's product, as its pairs."""
+        """Return the decisions of the inner policy as pairs of the product."""
         product, label = self.model, self.model.failure_label
         branches = self.inner.branches(product.original_state[states], memory)
         kept = branches.kept(memory)
@@ -547,7 +547,7 @@ class _InProduct(Policy):
         return Branches(branches.situation, pair, branches.probability, kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Return the restated policy's memory on a problem's product after a step, [episodes]."""
+        """Return the inner policy's memory after a step of the product, [episodes]."""
         pairs, successors, costs = step
         there, pair = self.model.original_state[successors], self.model.original_pair[pairs]
         return self.inner.remember(memory, pair, there, costs)
@@ -555,7 +555,7 @@ class _InProduct(Policy):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _UntilFailing(Policy):
-    """A policy that goes on after failing, cut off at failing, since nothing counts then."""
+    """A policy without its decisions after failing, for problems that count nothing then."""
 
     carrier: Policy
 
@@ -572,7 +572,7 @@ class _UntilFailing(Policy):
 
 
 def until_failing(lottery: MixedPolicy) -> MixedPolicy:
-    """Return a problem's policies, each cut off at failing if it goes on after it."""
+    """Return the lottery with each policy ended at failing, if it continues after failing."""
     for member in lottery.policies:
         if member.goes_on:
             return replace(lottery, policies=tuple(map(_UntilFailing, lottery.policies)))
@@ -580,7 +580,7 @@ def until_failing(lottery: MixedPolicy) -> MixedPolicy:
 
 
 def on_product(policy: Policy | MixedPolicy, product: ProductSSP) -> MixedPolicy:
-    """Return a policy of the original model on a product; a carrier of its memory is unwrapped.
+    """Translate a policy of the original model to a product; one of ``on_original`` is unwrapped.
 
     Args:
         policy: such as one of :func:`on_original`, or one that ignores the product's memory.

@@ -7,7 +7,7 @@ from pathlib import Path
 def names_in_stub(package: str, file: str) -> dict[str, str]:
     """Return the module of each name that the stub of a package imports.
 
-    Type checkers read the same stub, so that no second table of names is needed.
+    Type checkers read the same stub, so one list of names is enough.
 
     Args:
         package: full name of the package.

@@ -53,7 +53,7 @@ _LEAST_LIMIT = 1.0  # least seconds for numbers computed later, if the call was 
 
 @dataclass(frozen=True)
 class Run:
-    """The run of a method: its name, the reason for choosing it, and its work."""
+    """A method's run: its name, the reason for choosing it, and counts of its work."""
 
     method: str  # "columns", "lp", "game" or "deterministic"
     reason: str  # why this method was chosen, and what it did
@@ -69,8 +69,8 @@ class Run:
 class Solution(Facts, ReadOnlyCopies):
     """The optimal value c*, a certified lower bound, and a mixed policy that attains the value.
 
-    ``objective`` and ``budget_used`` are exact measures of the policy on the augmented process. The
-    other numbers about the policy are evaluated on the model itself on first use.
+    ``objective`` and ``budget_used`` are computed exactly from the policy on the augmented process.
+    The other numbers about the policy are evaluated on the model on first use.
     """
 
     problem: Problem
@@ -89,7 +89,7 @@ class Solution(Facts, ReadOnlyCopies):
     prices: Mapping[str, float] = field(default_factory=dict)  # multiplier of each row, by name
     least_failure_bound: float | None = None  # certified, of every policy; with least failure only
     granted: Mapping[str, float] = field(default_factory=dict)
-    """Bounds by name that are infeasible only by rounding, raised to the least attainable value."""
+    """Bounds by name that only rounding makes infeasible; the least attainable value counts."""
     taken: Mapping[str, float] = field(default_factory=dict)
     """Left side of each limited row as measured, by name, if the method measures rows."""
 
@@ -166,13 +166,13 @@ class Solution(Facts, ReadOnlyCopies):
     ) -> WhatIf:
         """Return the derivatives of the optimum by each probability, cost, bound and start.
 
-        They follow from visits and values of the problem's program, which is solved for this
-        purpose. Where lottery or prices are not the only optimal ones, the derivatives to the left
-        and to the right differ: the program is then solved four times for each number.
+        They are computed from visits and values of the problem's program, which is solved for this
+        purpose. If several lotteries or prices are optimal, the left and the right derivative of a
+        number may differ; the program is then solved four times for this number.
 
         Args:
-            by: maps a :class:`Number` to the group with which it moves, since one number of yours
-                may stand in many places; None leaves it out.
+            by: maps a :class:`Number` to a group. The numbers of a group change together, since one
+                quantity may stand in many places. None leaves a number out.
             time_limit: seconds, after which the remaining derivatives are None.
 
         Raises:
@@ -204,13 +204,13 @@ class Solution(Facts, ReadOnlyCopies):
         """Return the policy extended to every state that has actions.
 
         Where the plan has no decision, the policy takes the best action at the optimal price of
-        failing, in case M without giving up, or with least failure if there is no price; these are
-        computed on first use. :func:`ssp_lp.acting_everywhere` says what is done after giving up
-        and in dead-ends.
+        failing, in case M without giving up. Without a price it takes the action of least failure.
+        These actions are computed on first use. :func:`ssp_lp.acting_everywhere` describes the
+        actions after giving up and in dead-ends.
 
         Args:
-            default: takes precedence over both: an action, for all states that have it, ``{state:
-                action}``, or a policy without memory; None: none.
+            default: takes precedence over these actions: an action, for all states that have it,
+                ``{state: action}``, or a policy without memory; None: no default.
             least_after: quantity, such as ``end_probability("crash")``, which actions after giving
                 up and in dead-ends minimise without changing the plan.
 
@@ -242,7 +242,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def gap(self) -> float:
-        """Relative gap between objective and bound, or of the least failure, if wider."""
+        """Relative gap between objective and bound, or of the least failure if it is wider."""
         if self.upper_bound is not None:
             gap = relative_gap(self.upper_bound, self.objective)
         else:
@@ -253,8 +253,8 @@ class Solution(Facts, ReadOnlyCopies):
     def failure_gap(self) -> float:
         """Relative gap of the goal probability to the greatest, with least failure; else 0.
 
-        The bound of the objective holds for policies that fail least: where this gap is not 0,
-        other policies may fail less.
+        The bound of the objective holds for policies of least failure. If this gap is not 0,
+        another policy may fail less.
         """
         return gap_of_least_failure(self.budget_used, self.least_failure_bound)
 
@@ -314,8 +314,8 @@ class Solution(Facts, ReadOnlyCopies):
         """The solution's alpha*, weight of the objective MDP in the paper's game (section 3.2).
 
         Case M: c* / (c* + price * budget). Case S: c* (1 - e) / (c* (1 - e) + (c* + price) e) at
-        the failure e that attains the minimum. None where ``budget_slope`` is, and for limits or a
-        measure of the law of costs, which the game does not support.
+        the failure e that attains the minimum. None where ``budget_slope`` is None, and for limits
+        and measures of the law of costs, which the game does not support.
         """
         price, budget = self._multiplier, self.problem.failure_budget
         unknown = self.problem.has_rows or self.problem.semantics.counts_law
@@ -345,8 +345,9 @@ class Solution(Facts, ReadOnlyCopies):
         """The stationary randomised policy equivalent to the solution's lottery (section 2.2).
 
         It acts on the augmented states (the model's states in case M, (state, accumulated cost) in
-        case S) and spends the same expected time in each. If totals are rounded to levels, its cost
-        differs from the lottery's by rounding. With a horizon it also carries the time.
+        case S) and visits each of them equally often in expectation. If totals are rounded to
+        levels, its cost differs from the lottery's by rounding. With a horizon it also remembers
+        the time.
         """
         policy = equivalent_randomised_policy(self.policy, self.problem)
         if policy.model is self.problem.model:
@@ -422,7 +423,7 @@ class Solution(Facts, ReadOnlyCopies):
 
 
 def _least_after(model: SSP, quantity: Quantity) -> IntArray:
-    """Return the pairs that minimise a quantity after failing; UNDECIDED: any do, [states].
+    """Return the pairs that minimise a quantity after failing; UNDECIDED: all are equal, [states].
 
     Raises:
         ModelError: the quantity counts nothing after failing, or nothing can follow failing.
@@ -473,7 +474,7 @@ class Answer:
 def assembled(
     problem: Problem, found: Answer, run: Run, sense: ObjectiveSense = AS_ASKED
 ) -> Solution:
-    """Return the solution, in the terms of the problem as stated.
+    """Return the solution in terms of the problem as stated.
 
     Args:
         problem: the problem.
@@ -511,7 +512,7 @@ def assembled(
 
 
 def as_solved(solution: Solution, verb: str) -> Solution:
-    """Return a solution on the model that was solved: with a horizon (state, steps taken).
+    """Return a solution on the model as it was solved, with a horizon (state, steps taken).
 
     Raises:
         ModelError: the argument is not a Solution; ``verb`` names the function that was called.

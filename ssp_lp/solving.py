@@ -99,7 +99,7 @@ def solve(
 
 
 def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) -> Solution:
-    """Return the checked answer of ``solve`` to the problem that is solved."""
+    """Solve a problem that is already unrolled, and check the answer."""
     solution: Solution | None = None
     too_large: ModelError | None = None
     incumbent, inner = Incumbent(problem, options.deterministic), problem
@@ -181,7 +181,7 @@ def _check_solution(solution: Solution, deadline: float | None) -> None:
 
     Args:
         solution: the answer.
-        deadline: until when its policy may be evaluated for its limits; None: there is no time.
+        deadline: end of the time for evaluating its policy for its limits; None: no time is left.
 
     Raises:
         SolverError: a probability outside [0, 1], a violated budget or limit, weights that are no

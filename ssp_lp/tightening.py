@@ -1,10 +1,11 @@
 """A failure budget that holds for all probabilities in boxes: a lottery over plans, and a bound.
 
-Each plan of the lottery is taken at its own worst cost and its own worst failure probability, so
+Each plan of the lottery counts with its own worst cost and its own worst failure probability, so
 the lottery satisfies the budget whatever the probabilities are. The bound is the optimum of the
-problem at one choice of probabilities, which is adverse to the best plan at some price of failure
-(Lagrange): no lottery does better against all of the boxes. The two need not meet, as nature
-answers a lottery with one choice of probabilities and not with one for each plan and each measure.
+problem at one choice of probabilities, the worst one for the best plan at some price of failure
+(Lagrange). The worst case of every lottery is at least this optimum. A gap between value and bound
+may remain, because the true worst case of a lottery has one choice of probabilities, not one for
+each plan and each measure.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class Tightened(Facts):
     objective: float  # each plan's worst cost until failure, weighted
     lower_bound: float
     failure_probability: float  # each plan's worst failure probability, weighted
-    failure_price: float  # cost of one unit of worst failure probability less
+    failure_price: float  # cost of reducing the worst failure probability by one unit
     prices: int  # prices of failure that were tried
 
     @property
@@ -74,14 +75,16 @@ def tighten(
 ) -> Tightened:
     """Find a lottery that satisfies a failure budget at all probabilities in boxes.
 
-    Column generation: a price of failure is answered by the plan that is best against nature at
-    that price, and by the optimal lottery at nature's probabilities; both give plans, the latter a
-    bound. The next price is that lottery's, or the one of the best lottery over the worst values.
+    Column generation. At a price of failure, the plan with the best worst case is computed, then
+    the optimal lottery at these worst probabilities. Both give plans, and the lottery gives a
+    bound. The next price is the price of this lottery, or of the best lottery over the plans found
+    so far.
 
     Args:
         problem: ``MCMP`` with a failure budget.
         box: of the problem's model.
-        tolerance: relative gap at which to stop, and distance of prices that count as one.
+        tolerance: relative gap at which to stop, and distance below which two prices count as
+            equal.
         time_limit: seconds after which the best lottery so far is returned.
 
     Raises:
@@ -124,7 +127,7 @@ def tighten(
 
 @dataclass(eq=False)
 class _Pool:
-    """Plans at their own worst cost and failure, and what is known at the prices tried."""
+    """Plans with their worst cost and worst failure, and the bounds at the prices tried."""
 
     problem: Problem
     box: Boxes
@@ -135,7 +138,7 @@ class _Pool:
     tried: list[float] = field(default_factory=list)
 
     def add(self, decision: IntArray) -> None:
-        """Add a plan, by its decisions, [states], at its own worst cost and failure."""
+        """Add the plan with these decisions, [states], with its worst cost and failure."""
         policy = DeterministicPolicy(self.problem.model, decision)
         worst = worst_case(policy, self.problem, self.box)
         if np.isfinite(worst.objective):

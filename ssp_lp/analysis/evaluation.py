@@ -64,7 +64,7 @@ class Evaluation(Facts):
 
     @property
     def limited_goal(self) -> float:
-        """Goal probability of the evaluated policy that complements ``limited_failure``."""
+        """Goal probability of the evaluated policy, in the sense of ``limited_failure``."""
         return self.goal_probability if self.discounted_goal is None else self.discounted_goal
 
     @property
@@ -125,8 +125,8 @@ def evaluate(
 
     Returns:
         Exact numbers, up to the rounding of linear solves. One exception: if a criterion needs the
-        law of costs with too many different sums, or of a policy that ``rounds_up``, the objective
-        is that of costs rounded up, and the true one is as good or better.
+        law of costs, and there are too many different sums or the policy ``rounds_up``, the
+        objective is computed with costs rounded up. The true objective is as good or better.
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches, or gives up where the
@@ -143,7 +143,7 @@ def evaluate(
 def evaluate_each(
     policy: Policy | MixedPolicy, problem: Problem = NEEDED
 ) -> tuple[Evaluation, list[Evaluation]]:
-    """Return the evaluation of a policy, and that of each member of the lottery by itself.
+    """Return the evaluation of a policy, and the evaluation of each member of the lottery.
 
     If the problem has a measure of the law, the members' objectives are their costs.
 
@@ -175,8 +175,8 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
     """Return the law of a policy's total cost on the runs that reach the goal.
 
     Costs and probabilities are undiscounted, whatever the problem's discount. The law of a lottery
-    is the mixture of its members' laws, so that a quantile is the mixture's, not a mean of the
-    members' quantiles.
+    is the mixture of its members' laws, so its quantile is the quantile of the mixture, not a mean
+    of the members' quantiles.
 
     Args:
         policy: any policy on the problem's model.
@@ -251,7 +251,7 @@ class _Measures(NamedTuple):
 
 
 def _mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
-    """Return the mean of measures over a lottery, without infinite costs of weight 0."""
+    """Return the mean of measures over a lottery; an infinite cost of weight 0 does not count."""
     used = np.flatnonzero(weights > 0.0)
     columns = zip(*(parts[k] for k in used), strict=True)
     return _Measures(*(np.tensordot(weights[used], np.stack(c), axes=1) for c in columns))
@@ -661,11 +661,11 @@ def entering_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:
 def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> BoolArray:
     """Return the nodes of a policy's chain at which failing is not declared, [nodes].
 
-    These are the nodes from which the goal can be reached; but if a constraint needs another end, a
-    policy on its way there has not failed until it arrives or gives up.
+    These are the nodes from which the goal can be reached. If a constraint needs another end, a
+    policy on its way to this end has not failed until it arrives or gives up.
 
-    On states with the label of failing a policy may declare failing itself; any other policy
-    declares it as soon as it has lost the goal, by steps that surely avoid it.
+    On states with the failure label the policy itself may declare failing. Any other policy
+    declares it as soon as it has lost the goal, by steps that surely avoid the goal.
 
     Args:
         chain: chain of the policy.
@@ -684,7 +684,7 @@ def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> 
 
 
 def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, IntArray], BoolArray]:
-    """Return a function that says at which (state, memory) a policy has failed.
+    """Return a predicate on (state, memory) that is true where a policy has failed.
 
     Returns:
         A function of states and memories, [situations] each; False for a situation that no run of
@@ -707,7 +707,7 @@ def _asks_for_ends(problem: Problem) -> bool:
 
 
 def _asked_quantities(problem: Problem) -> tuple[Condition, ...]:
-    """Return the quantities whose values a problem needs: its limits, and its objective."""
+    """Return the quantities whose values a problem needs: its limits and its objective."""
     objective = problem.objective_condition
     return problem.conditions + (() if objective is None else (objective,))
 

@@ -76,7 +76,7 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
     The interval is valid for rare expensive events that the sample may not contain, unlike normal
     intervals and the bootstrap: the upper end is the empirical Bernstein bound, which includes
     costs up to ``most``. The lower end needs no greatest cost: it is the integral of the sample's
-    survival function minus its greatest excess over the law's.
+    survival function, less its greatest likely excess over the true survival function.
 
     Args:
         sample: costs in [0, most], independent and identically distributed.
@@ -105,7 +105,7 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
 def greatest_total(
     model: SSP, steps: int, pairs: BoolArray | None = None, most_work: int = 300_000_000
 ) -> tuple[float, bool]:
-    """Return the greatest total cost of a simulated episode with at most so many steps.
+    """Return the greatest total cost of a simulated episode with at most ``steps`` steps.
 
     Steps within a strong component may be repeated, others occur once: the total is that of the
     most expensive path through the components.
@@ -180,7 +180,7 @@ class Simulator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ModelSimulator:
-    """A model as a world: the world is the state; for a product, that of the stated model."""
+    """A model as a world. The world is the model's state, for a product its original's state."""
 
     model: SSP
     start: FloatArray  # [states]
@@ -235,7 +235,7 @@ class _ProductSimulator:
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
-    """Return a simulator on the model that is solved, given one on the stated model."""
+    """Translate a simulator on the stated model to the model that is solved."""
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
     return _ProductSimulator(_on_products(simulator, model.original, stated), model)
@@ -432,7 +432,7 @@ def _check_simulated_states(model: SSP, state: IntArray) -> None:
 
 
 def _failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """Return the charges of entering a dead-end, and of giving up or losing the goal, [states]."""
+    """Return the charge of entering a dead-end, and of giving up or losing the goal, [states]."""
     model, semantics = problem.model, problem.semantics
     entering = entering_charges(model, semantics)
     if semantics.forbids_failing:

@@ -5,13 +5,13 @@ lottery x and optimal prices. The worth of an outcome o of a pair, at the prices
 
     worth(o) = cost + sum of price * quantity + value of its successor,
 
-where a dead-end has the price of failing and its charges as the value. Moving probability from
-outcome o to o' changes the optimum by x * (worth(o') - worth(o)), a cost by x * probability, a
-bound by minus its price, the start by a difference of values. In case S the same holds at each
-accumulated cost, with -c* as the value of the goal, divided by the goal probability.
+where a dead-end has the price of failing and its charges as the value. The derivatives are: for
+moving probability from outcome o to o', x * (worth(o') - worth(o)); for a cost, x * probability;
+for a bound, minus its price; for the start, a difference of values. In case S the same holds at
+each accumulated cost, with -c* as the value of the goal, divided by the goal probability.
 
-If lottery or prices are not the only optimal ones, the formula is evaluated at nearby numbers on
-both sides, and checked against differences of the optimum.
+If several lotteries or prices are optimal, the formula is evaluated at nearby numbers on both
+sides, and checked against differences of the optimum.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ class _Optimum:
     def of(cls, problem: Problem) -> _Optimum:
         """Solve the problem's program.
 
-        In case S totals are distinguished up to one beyond which no run succeeds.
+        In case S totals are distinguished up to a total beyond which no run succeeds.
 
         Raises:
             InfeasibleError: no policy satisfies the limits.
@@ -491,7 +491,7 @@ class _Optimum:
 
     @cached_property
     def is_unique(self) -> bool:
-        """Whether lottery and prices are the only optimal ones.
+        """Whether no other lottery and no other prices are optimal.
 
         They are unique if every optimal pair of a visited state is used, if there are as many such
         pairs as visited states and rows with a price together, if every tight row has a price, and
@@ -541,7 +541,7 @@ def _vertex_in_time(problem: Problem) -> OccupationMeasure:
 
 
 def _facts(model: SSP) -> dict[str, Any]:
-    """Return the facts about a model's graph that determine the structure of its optimum."""
+    """Return the facts about a model's graph on which the structure of its optimum depends."""
     attention = attention_states(model)
     return {
         "dead-ends": dead_ends(model),
@@ -631,9 +631,10 @@ class WhatIf(Report):
     def breakpoints(self, number: str | Number | Change) -> tuple[float, float]:
         """Return the steps to the left and to the right up to which the same actions are optimal.
 
-        They are found by bisection, to a relative accuracy of 1e-6, on solutions of the program:
-        the number may move by any step between the two without a change of the lottery's actions;
-        at a kink one of them is 0. They end where a number is 0, or at 1,000.
+        The number may move by any step between the two without a change of the lottery's actions;
+        at a kink one of them is 0. They are found by bisection on solutions of the program, to a
+        relative accuracy of 1e-6, and are limited to 1,000 and to steps that keep numbers at least
+        0.
 
         Args:
             number: a name in the table, such as "failure budget", a number or a change.
@@ -723,7 +724,7 @@ def what_if(
 
 
 def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None) -> list[Number]:
-    """Return numbers in the groups of ``by``; None: each alone, without the likelier of two."""
+    """Return numbers in the groups of ``by``; None: each alone, of two outcomes the less likely."""
     if by is None:
         return [number for number in numbers if not number.is_rest]
     groups = dict[Hashable, list[Number]]()

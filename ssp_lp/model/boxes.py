@@ -1,4 +1,4 @@
-"""Boxes: an interval for each probability of a model, such as counts imply.
+"""Boxes: an interval for each probability of a model, for example computed from counts.
 
 Nature chooses the probabilities of every pair within its box, independently of all other pairs
 ((s, a)-rectangular uncertainty: Nilim and El Ghaoui, Operations Research 53, 2005; Iyengar,
@@ -29,10 +29,10 @@ from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP
 
 USEFUL_COUNT = 1_000
-"""Counts of a pair that give narrow boxes: about 0.05 each side at 95 % for a model."""
+"""Number of observations of a pair for narrow boxes: about 0.05 to each side at 95 %."""
 
 FORCED = 1e-12
-"""Least tightening of one interval by others that counts; less is the rounding of their sums."""
+"""Least narrowing of an interval by the others that counts; less is due to rounding of sums."""
 
 
 @explained_class
@@ -88,9 +88,9 @@ class Boxes(Report, ReadOnlyCopies):
         """Return the intervals of Clopper and Pearson (1934) that hold jointly.
 
         The error is divided equally among the intervals (union bound). A pair with one successor
-        needs no interval, a pair with two needs one, since the other is its complement. Only
-        outcomes of the table are possible: give successors that are possible but unseen a row of
-        count 0.
+        needs no interval. A pair with two successors needs one, since the other is its complement.
+        Only outcomes of the table are possible: for a successor that is possible but was never
+        seen, add a row with count 0.
 
         Args:
             model: model made by :meth:`ssp_lp.SSP.from_counts`.
@@ -121,7 +121,7 @@ class Boxes(Report, ReadOnlyCopies):
         return replace(self.model, probabilities=read_only(shares))
 
     def fits(self, model: SSP) -> bool:
-        """Return whether a model has the names and outcomes of the boxes' model."""
+        """Return whether a model has the same names and outcomes as the boxes' model."""
         own = self.model
         return model is own or (
             np.array_equal(model.pair_offsets, own.pair_offsets)
@@ -195,7 +195,7 @@ def posterior_draws(
         model: model made by :meth:`ssp_lp.SSP.from_counts`.
         draws: number of models.
         seed: a number or a generator.
-        prior: count added to that of each outcome, > 0.
+        prior: number added to the count of each outcome, > 0.
 
     Raises:
         ModelError: a model without counts, or a prior that is not positive.
@@ -231,7 +231,7 @@ def greatest_mean(
 ) -> FloatArray:
     """Return the probabilities within boxes that maximise the mean of a worth, [entries].
 
-    Starting from the least probabilities, the rest of the mass goes to the best entries first.
+    Each entry first gets its least probability; the rest of the mass goes to the best entries.
 
     Args:
         low: [entries].

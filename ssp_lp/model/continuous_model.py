@@ -25,7 +25,7 @@ from ssp_lp.model.arguments import check_fields, explained, explained_class
 from ssp_lp.model.ssp import SSP
 
 ON_EDGE: Final = 1e-9
-"""A coordinate this close to an edge, in widths of a cell, lies on it.
+"""Distance, in widths of a cell, below which a coordinate counts as lying on an edge.
 
 Rounding moves a coordinate by some 1e-16 of its size; with this tolerance a point that lies on an
 edge in exact arithmetic is treated alike on every machine.
@@ -200,10 +200,10 @@ class Grid:
         return missed
 
     def numbers_about(self, heights: Coordinates, *, split: bool = True) -> list[IntArray]:
-        """Return the cells among which each point is divided equally: one array, or 2, 4, ...
+        """Return the cells among which each point is divided equally, in 1, 2, 4, ... arrays.
 
-        A point has several cells only on an edge of an axis with ``split_edges``, otherwise one,
-        on an edge the upper one.
+        A point has several cells only on an edge of an axis with ``split_edges``. Otherwise it has
+        one cell; on an edge, the upper one.
         """
         parts: list[list[IntArray]] = []
         for axis, stride, values in zip(self.axes, self.strides, heights, strict=True):
@@ -231,8 +231,9 @@ class Grid:
 class Distribution(ReadOnlyCopies):
     """A random number, given by its quantile function; independent of all others.
 
-    ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal one: any non-decreasing vectorised
-    function from levels in (0, 1) to values. :meth:`uniform` and :meth:`discrete` make others.
+    ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal one. The quantile function may be
+    any non-decreasing vectorised function from levels in (0, 1) to values. :meth:`uniform` and
+    :meth:`discrete` make common distributions.
     """
 
     quantile: Callable[[FloatArray], npt.ArrayLike]
@@ -309,15 +310,15 @@ Allowed = Callable[[Coordinates, Any], npt.ArrayLike]
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class ContinuousModel:
-    """Continuous coordinates, a step function, and the grid on which policies see the world.
+    """Continuous coordinates, a step function, and the grid of cells by which policies decide.
 
     **The step function** is called with one action and many points at a time:
     ``step(point, action, noise) -> (new point, cost, end)``. ``point`` holds one array for each
     axis, ``noise`` one for each random number; the arrays broadcast against each other and need
     not be of one shape, so work with them as with numbers (``np.where``, no boolean masks).
-    Returned are one array for each axis, the cost (>= 0) and the end, a whole number: 0 the
-    episode goes on, 1 it reached the goal, 2, 3, ... it failed in the first, second, ...
-    dead-end; each a number, or an array that broadcasts to the rest.
+    It returns one array for each axis, the cost (>= 0) and the end. The end is a whole number: 0 if
+    the episode goes on, 1 if it reached the goal, 2, 3, ... if it failed in the first, second, ...
+    dead-end. Each of them is a number, or an array that broadcasts to the rest.
 
     Attributes:
         grid: the box of coordinates and its cells.
@@ -327,9 +328,10 @@ class ContinuousModel:
         dead_ends: label of each way to fail -> cost of each stage spent in it; the library
             charges it only if the criterion does (``charge_failing_step``).
         outside: the dead-end of a step that leaves the box; None: such a step is an error.
-        alike: function that groups pairs with exactly equal outcomes, each of which is computed
-            once: (positions of cells along each axis, positions of actions) -> whole numbers >= 0,
-            not many more than pairs, equal for pairs with equal outcomes.
+        alike: function that groups pairs with exactly equal outcomes, so that each group is
+            computed once. It maps (positions of cells along each axis, positions of actions) to
+            whole numbers >= 0, equal for the pairs of a group, and not many more than there are
+            pairs.
         allowed: function that says which actions a cell has: ``allowed(point, action) -> truth
             values``, called with the midpoints of many cells, an array for each axis. The answer at
             the midpoint holds for the whole cell, in the model and in the simulated world; ``step``

@@ -44,10 +44,11 @@ class Quadrature:
     Attributes:
         points: number of points for each axis and each random number: one number for all, or one
             for each axis and then for each random number. Discrete noise takes its own values.
-        rule: "midpoint": equal parts, a point in the middle of each, equally weighted.
-            "gauss-legendre": its nodes and weights. Probabilities of cells integrate a function
-            that jumps, for which midpoints are as good and preserve symmetries exactly; if smooth
-            costs are averaged over a cell, Gauss and Legendre's rule is better.
+        rule: "midpoint": equal parts with a point in the middle of each, and equal weights.
+            "gauss-legendre": the nodes and weights of Gauss and Legendre, which are better if
+            smooth costs are averaged over a cell. The probability of a cell is an integral of a
+            function that jumps: midpoints are as accurate there, and they preserve symmetries
+            exactly.
     """
 
     points: int | Sequence[int] = 4
@@ -144,19 +145,20 @@ class Samples:
     def deviation(self, pairs: int, reachable: int, confidence: float = 0.95) -> float:
         """Return the error of a pair's sampled outcomes, as a sum of absolute differences.
 
-        With at least this confidence over the samples, all of ``pairs`` have sampled probabilities
-        within this distance of the true ones, those of a point uniform in the cell. Weissman et al.
-        (2003), theorem 2.1, for one pair; the union bound for all.
+        With at least this confidence, the sampled probabilities of all ``pairs`` lie within this
+        distance of the true ones (of a point that is uniform in the cell): theorem 2.1 of Weissman
+        et al. (2003) for one pair, and the union bound for all pairs.
 
-        Then, for every policy at once, the failure probability in the true grid model differs from
-        that in the sampled one by at most half the deviation times the policy's expected number of
-        steps in the sampled one (each step errs by at most half the distance, for a function with
-        values in [0, 1]). The statement does not extend to the continuous world: see ``simulate``.
+        Then, for every policy at once, the failure probabilities in the true and in the sampled
+        grid model differ by at most half the deviation times the policy's expected number of steps
+        in the sampled model. (For a function with values in [0, 1] each step has an error of at
+        most half the distance.) The statement does not extend to the continuous world: see
+        ``simulate``.
 
         Args:
             pairs: number of sampled pairs.
-            reachable: upper bound of the number of any pair's true successors, known beforehand;
-                those seen in the samples may be too few, the number of states is always safe.
+            reachable: upper bound of the number of true successors of a pair, known beforehand. The
+                number seen in the samples may be too small; the number of states is always valid.
             confidence: of the statement.
 
         Raises:
@@ -213,7 +215,7 @@ TRIALS: Final = 1 << 19
 MIDPOINTS: Final = Quadrature()
 
 _SPREAD: Final = 4
-"""Greatest number of a kind, per pair, before kinds are renumbered."""
+"""Greatest value of ``alike`` divided by the number of pairs, before values are renumbered."""
 
 _BUILDING = logging.getLogger("ssp_lp.building")
 
@@ -227,9 +229,9 @@ def discretise(
 ) -> SSP:
     """Discretise a continuous world: a finite model whose states are the grid's cells.
 
-    In the model each step begins at a point uniform in its cell, independently of the past. The
-    world has a definite point in the cell: no certificate of the model holds in the world. Play the
-    policy in the world (``WorldSimulator``) to obtain an exact interval of its failure
+    In the model each step begins at a point uniform in its cell, independently of the past. In the
+    world the point depends on the past, so a certificate of the model does not hold in the world.
+    Play the policy in the world (``WorldSimulator``) to obtain an exact interval of its failure
     probability.
 
     Args:
@@ -275,14 +277,14 @@ def discretised_rows(
 ) -> tuple[IntArray, Outcomes]:
     """Return the outcomes of some states of a discretised world, as in :func:`discretise`'s model.
 
-    With a quadrature they do not depend on the requested range; if ``alike`` groups pairs, one pair
-    of each group in the range is computed for all of them.
+    With a quadrature the outcomes do not depend on the requested range. If ``alike`` groups pairs,
+    one pair of each group in the range is computed for the whole group.
 
     Args:
         world: the step function and the grid.
         points: as :func:`discretise` takes them.
         first: number of the first state.
-        end: number after that of the last state.
+        end: number of the last state plus 1.
         progress: called with the number of finished pairs and the total.
 
     Returns:

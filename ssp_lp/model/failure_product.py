@@ -1,10 +1,10 @@
-"""The product of a model with the label of failing: a run goes on after the goal is lost.
+"""The product of a model with the failure label: runs continue after the goal is lost.
 
-In the paper's augmented MDP (section 3.1.2) the states are (x, s) and (x, f), and the label f ends
-no run: it goes on, without cost, to its true end. This product does the same for a problem that
-counts quantities after failing: a state may be (x, "before failing") or (x, "after failing"), and
-failing is part of a step. In a dead-end every step takes the label; in an attention state the
-policy chooses between its actions and the same actions with giving up, if these avoid the goal.
+In the paper's augmented MDP (section 3.1.2) the states are (x, s) and (x, f). A run with the label
+f continues, without cost, to its true end. This product is built for a problem that counts
+quantities after failing: its states are (x, "before failing") and (x, "after failing"), and a step
+may set the label. In a dead-end every step sets it. In an attention state the policy may take an
+action that avoids the goal either alone or together with giving up.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ BEFORE: Final = "before failing"
 """Memory of a run that has not failed: the paper's label s."""
 
 AFTER: Final = "after failing"
-"""Memory of a run that has failed, and goes on: the paper's label f."""
+"""Memory of a run that has failed and continues: the paper's label f."""
 
 GIVING_UP: Final = "give up"
-"""First part of the name of an action that is taken with giving up: ("give up", action)."""
+"""First part of the name of an action taken together with giving up: ("give up", action)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,7 +48,7 @@ class FailureSSP(ProductSSP):
     open_pairs: BoolArray = field(kw_only=True)  # [original pairs] that may be taken after failing
     stops: BoolArray = field(kw_only=True)  # [states] where giving up ends the run
     charged: BoolArray = field(kw_only=True)
-    """Pairs whose least cost in a state is the charge of failing there, [original pairs]."""
+    """Pairs of which a state's cheapest is the charge of failing there, [original pairs]."""
     free_pairs: BoolArray = field(kw_only=True)  # [2, original pairs] before and after failing
     charges: bool = field(kw_only=True, default=False)  # whether failing costs anything
     original_pair: IntArray = field(kw_only=True)  # [pairs]
@@ -56,7 +56,7 @@ class FailureSSP(ProductSSP):
 
     @property
     def failure_label(self) -> FailureSSP:
-        """The product itself, as its states bear the label of failing."""
+        """The product itself, since its states have the failure label."""
         return self
 
     @property
@@ -113,9 +113,9 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def finite(self) -> tuple[BoolArray, BoolArray]:
-        """States with a policy of finite count after failing, and the pairs that stay among them.
+        """States from which some policy has finite counts after failing, and pairs that stay there.
 
-        After failing a run may never end, while limited quantities go on being counted.
+        After failing a run may never end, and limited quantities are counted for ever.
 
         Returns:
             [states] and [pairs].
@@ -126,7 +126,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def _staying(self) -> BoolArray:
-        """Pairs that a run may take for ever with a finite count, [pairs]."""
+        """Pairs that a run may take for ever with finite counts, [pairs]."""
         going = ~self.ended & ~self.goal_mask
         failed = self.fails | self.after[self.pair_state]
         free = self.free_pairs[failed.astype(np.int64), self.original_pair]
@@ -138,7 +138,7 @@ class FailureSSP(ProductSSP):
         return self.original_pair[self._staying & self.after[self.pair_state]]
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the pairs here for pairs of the original, -1 if there are none, [entries].
+        """Return the pairs of this product for pairs of the original, -1: none, [entries].
 
         Before failing, these are the pairs of live states without giving up.
 
@@ -150,12 +150,12 @@ class FailureSSP(ProductSSP):
         return np.asarray(self._places[self.after[states] + 2 * taking, pairs])
 
     def giving_up_by(self, pairs: IntArray) -> IntArray:
-        """Return the pairs that take pairs of the original together with failing, -1 if none."""
+        """Return the pairs that take pairs of the original and give up, -1: none."""
         return np.asarray(self._places[2, pairs])
 
     @cached_property
     def _places(self) -> IntArray:
-        """Pair here of each original one: before failing, after it, and failing, [3, pairs]."""
+        """Pair of each original pair: before failing, after failing, with giving up, [3, pairs]."""
         places = np.full((3, self.original.n_pairs), -1, dtype=np.int64)
         kind = np.where(self.fails, 2, self.after[self.pair_state].astype(np.int64))
         places[kind, self.original_pair] = np.arange(self.n_pairs)
@@ -169,7 +169,7 @@ class FailureSSP(ProductSSP):
     def spread_costs(
         self, costs: FloatArray, charge: FloatArray, *, through: bool = False
     ) -> FloatArray:
-        """Return the costs of the original as counted here, [outcomes].
+        """Return the costs of the original as this product counts them, [outcomes].
 
         Args:
             costs: [original outcomes].
@@ -188,7 +188,7 @@ class FailureSSP(ProductSSP):
 def label_failing(
     model: SSP, open_pairs: BoolArray, stops: BoolArray, charged: BoolArray, free_pairs: BoolArray
 ) -> FailureSSP:
-    """Build the product with the label of failing, in which runs go on after it.
+    """Build the product with the failure label, in which runs continue after failing.
 
     Args:
         model: the model.

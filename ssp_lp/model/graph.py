@@ -146,7 +146,7 @@ def hopeless_states(model: SSP) -> BoolArray:
 
 
 def dead_ends(model: SSP) -> BoolArray:
-    """Return the dead-ends, where a run is over without the goal: hopeless states, [states].
+    """Return the dead-ends: hopeless states, in which a run ends without the goal, [states].
 
     If quantities after failing count, dead-ends are only those hopeless states that end a run.
     """
@@ -402,7 +402,7 @@ def close_pairs(
 
 
 def end_marks(model: SSP) -> IntArray:
-    """Return the number of the end that a run has in each state, -1 if it goes on, [states].
+    """Return the number of the end of a run that ends in each state, -1: it continues, [states].
 
     0 is the goal, 1 .. k the model's labels in their order (at dead-ends that bear them; the
     first label counts), k + 1 a dead-end without a label; k + 2 having given up before.

@@ -162,7 +162,7 @@ class Exploration:
             self._look_at(paid)
 
     def _look_at(self, paid: list[float]) -> None:
-        """Find goal, bounds and labels of the states found last; queue those to expand."""
+        """Evaluate goal, bounds and labels of the newest states; queue the states to expand."""
         first, whole = len(self.is_goal), self.whole
         new = self.flat.states[first:]
         if not new:
@@ -236,8 +236,8 @@ class Exploration:
 
         Args:
             survival: factor of every step, under a discount.
-            may_end: whether expanded states that reach the goal through the fringe only may turn
-                out to be dead-ends, in which failing is free unless ``charged``.
+            may_end: whether expanded states that reach the goal only through the fringe may be
+                dead-ends after all; failing is free in them unless ``charged``.
             charged: whether such a dead-end costs its cheapest action.
         """
         is_goal = np.array(self.is_goal, dtype=np.bool_)
@@ -301,7 +301,7 @@ class Exploration:
         return _Ways(np.repeat(np.arange(counts.size), counts), outcomes, flat["actions"])
 
     def _ways_lost(self, own: _Ways, numbers: IntArray, n_live: int, *, charged: bool) -> _Ways:
-        """Return the way "fail" of the expanded states that reach the goal through the fringe only.
+        """Return the action "fail" of expanded states that reach the goal only through the fringe.
 
         Args:
             own: actions of the expanded states, which come first.

@@ -496,7 +496,7 @@ class HorizonSSP(ProductSSP):
     survive: tuple[str, ...] | None = field(kw_only=True, default=None)  # :func:`within_steps`
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """Return the states after one more step; after the last step it is late, [episodes].
+        """Return the states after one more step, "out of time" after the last one, [episodes].
 
         Raises:
             ModelError: a step leads to a state that does not occur after so many steps.
@@ -517,16 +517,16 @@ def within_steps(
     """Return the model in which an episode fails unless it reaches the goal within some steps.
 
     It is the product with a memory that counts steps, built from arrays. A policy on it knows the
-    number of steps left; ``on_original`` lets it act on the model's states. With ``survive``, going
-    on for all steps is success ("do not fall within 500 steps"): an episode fails if it reaches a
-    state without actions before, or one with a label in ``survive``.
+    number of steps left; ``on_original`` lets it act on the model's states. With ``survive``, an
+    episode that takes all steps succeeds ("do not fall within 500 steps"). It fails if it reaches a
+    state without actions earlier, or a state with a label in ``survive``.
 
     Args:
-        model: the model; if only surviving counts, with a goal that no action leads to.
+        model: the model. If only surviving counts, its goal is a state that no action leads to.
         steps: number of steps; a goal reached with the last one counts.
         start: states in which episodes may begin; None: every state of the model.
-        survive: True, so that an episode that goes on for all steps has reached the goal; or the
-            labels of states in which it does not go on, though they have actions.
+        survive: True: an episode that takes all steps has reached the goal. Or labels of states
+            that end an episode as a failure although they have actions.
 
     Returns:
         The product, with states (state, steps taken), and (state, "out of time") after the last
@@ -572,14 +572,14 @@ def within_steps(
 def unroll_steps(
     model: SSP, steps: int, begin: Sequence[int] | None, survive: tuple[str, ...] | None = None
 ) -> HorizonSSP:
-    """Return the model of :func:`within_steps`, whether a goal can be reached in it or not.
+    """Return the model of :func:`within_steps`, without checking that a goal can be reached.
 
     Args:
         model: the model.
         steps: number of steps, >= 1.
         begin: states in which episodes may begin; None: all.
-        survive: labels of states in which surviving ends, if having taken all steps is success;
-            None: it is not.
+        survive: labels of states that end surviving, if taking all steps is success; None: taking
+            all steps is failure.
 
     Raises:
         ModelError: states times steps are too many.

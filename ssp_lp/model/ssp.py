@@ -122,18 +122,18 @@ class SSP(Graph, ReadOnlyCopies):
                 everywhere. Probabilities and costs may be expressions of a
                 :class:`ssp_lp.Parameter`.
             goal: the labels of the goal states.
-            cost: name of the model's own cost, of several; ``secondary_cost("fuel")`` limits the
-                others.
+            cost: name of the model's own cost, if there are several; ``secondary_cost("fuel")``
+                limits another one.
             state_labels: names for sets of states ("wall"), used in reports and limits; each with
                 its states, or a predicate on states.
             dead_ends: states from which no action reaches the goal, given by their labels or by a
                 predicate. Any other state without actions that is not a goal is then an error.
             treat_actionless_as_dead_ends: without ``dead_ends``, accept all states without actions
                 that are not goals.
-            normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
+            normalise: divide probabilities by their sum if it misses 1 by at most 1e-5.
 
         Returns:
-            The model, with states numbered in the order of the keys, goals that are no keys last.
+            The model. Its states have the order of the keys, followed by goals that are not keys.
 
         Raises:
             ModelError: the error names the wrong state and action.
@@ -202,7 +202,7 @@ class SSP(Graph, ReadOnlyCopies):
                 predicate. Any other state without actions that is not a goal is then an error.
             treat_actionless_as_dead_ends: without ``dead_ends``, accept all states without actions
                 that are not goals.
-            normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
+            normalise: divide probabilities by their sum if it misses 1 by at most 1e-5.
 
         Raises:
             ModelError: the error names the wrong state and action, or the limit that was passed.
@@ -253,16 +253,17 @@ class SSP(Graph, ReadOnlyCopies):
     ) -> ImplicitSSP:
         """Create a model from its successor function, explored only as far as a problem needs it.
 
-        ``solve`` explores from the start: it solves the explored part, where states that were found
-        but not expanded (the fringe) reach the goal at the bounds below or fail at no cost, expands
-        the states on which the solution depends, and ends when it depends on none. The solution is
-        that of the whole model. States without actions that are not goals are dead-ends.
+        ``solve`` explores from the start and repeats two steps. It solves the explored part, in
+        which states that were found but not expanded (the fringe) reach the goal at the bounds
+        below or fail at no cost. Then it expands the states of the fringe on which the solution
+        depends. If there are none, the solution is optimal for the whole model. States without
+        actions that are not goals are dead-ends.
 
         Args:
             start: a state, or a list or set of states, in which episodes may begin.
             successors: maps a state to ``{action: [(probability, successor, cost), ...]}``, where
-                the cost may be several by name, as in :meth:`from_transitions`; it must always
-                return the same.
+                the cost may be several by name, as in :meth:`from_transitions`; it must return the
+                same at every call.
             goal: a predicate on states, or the goal states.
             cost: name of the model's own cost, of several.
             cost_bound: maps a state to a lower bound of ``E[cost; goal] / Pr(goal)`` of *every*
@@ -343,11 +344,11 @@ class SSP(Graph, ReadOnlyCopies):
             action: the column of the action.
             successor: the column of the next state, or as many as ``state`` has.
             probability: the column of the probability.
-            cost: the column of the cost, or of several, the first of which is the model's own; each
-                of several can be limited, ``secondary_cost("fuel") <= 3``.
+            cost: the column of the cost, or several columns: the first one is the model's own cost,
+                and each can be limited, ``secondary_cost("fuel") <= 3``.
             state_labels: names for sets of states, as in ``from_transitions``.
             dead_ends: the states without rows that are not goals; any other one is then an error.
-            normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
+            normalise: divide probabilities by their sum if it misses 1 by at most 1e-5.
 
         Raises:
             ModelError: a column that is missing or of another length, an empty cell, or a wrong
@@ -488,7 +489,7 @@ class SSP(Graph, ReadOnlyCopies):
         cost: str | Sequence[str] = "cost",
         **options: Any,
     ) -> SSP:
-        """Build a model from a CSV file with names of columns first, then a row for each outcome.
+        """Build a model from a CSV file: a row of column names, then a row for each outcome.
 
         Args:
             path: the file. States and actions are its words; numbers may be fractions such as 1/3.
@@ -548,16 +549,16 @@ class SSP(Graph, ReadOnlyCopies):
             states: labels of the states; None: their indices.
             actions: [pairs] labels of the actions; None: their position within the state.
             state_labels: names for sets of states, as in ``from_transitions``.
-            exact_costs: the fraction meant by a float cost such as 1/3; others mean their
-                shortest decimal. It decides the lattice of accumulated costs.
+            exact_costs: float cost -> the fraction that it stands for, such as 1/3; other costs
+                stand for their shortest decimal. They determine the lattice of accumulated costs.
             named_costs: costs by name, each as ``costs`` is given, for ``secondary_cost("fuel")``.
             parameters: named numbers on which probabilities and costs depend, with slopes.
             dead_ends: labels of states from which no action reaches the goal, or a predicate on
                 labels. Any other state without pairs that is not a goal is then an error.
             treat_actionless_as_dead_ends: without ``dead_ends``, accept all states without pairs
                 that are not goals.
-            normalise: divide out sums of probabilities that miss 1 by up to 1e-5, such as those
-                of single precision; else 1e-9 is the limit.
+            normalise: divide probabilities by their sum if it differs from 1 by at most 1e-5, as in
+                single precision; otherwise the limit is 1e-9.
 
         Raises:
             ModelError: the error names the wrong state and action.
@@ -648,7 +649,7 @@ class SSP(Graph, ReadOnlyCopies):
         costs: Mapping[tuple[str, int], float],
         step: float,
     ) -> SSP:
-        """Return the same model with some of its numbers moved, unchecked.
+        """Return a copy of the model with changed numbers, without checks.
 
         Args:
             probabilities: derivative of each by the step, by outcome.
@@ -682,11 +683,11 @@ class SSP(Graph, ReadOnlyCopies):
 
     @explained
     def with_dead_ends(self, dead_ends: DeadEnds | None) -> Self:
-        """Return the same model, after a check that it has no dead-ends but the given ones.
+        """Return the model after a check that it has no dead-ends except the given ones.
 
         Args:
             dead_ends: states from which no action reaches the goal, or labels of states, or a
-                predicate on states; a string also matches the state that prints so, such as 3.
+                predicate on states; a string also matches a state that prints like it, such as 3.
                 None: nothing is checked.
 
         Raises:
@@ -804,7 +805,7 @@ class SSP(Graph, ReadOnlyCopies):
         return self.describe_pair(pair)
 
     def of_all_states(self, made: FloatArray) -> FloatArray:
-        """Return values that were computed from the pairs held here, for all states, [states].
+        """Return values that were computed from the pairs of this object, for all states, [states].
 
         An ordinary model holds all pairs; a partitioned model joins the values of its parts.
         """
@@ -921,10 +922,10 @@ def check_model(model: object, verb: str) -> None:
 
 
 class FlatModel:
-    """A model under construction: states as they are found, flat lists of the expanded. Mutable."""
+    """A model under construction: states found so far, flat lists of expanded ones. Mutable."""
 
     def __init__(self, states: list[Any], cost: str | None, *, closed: bool = False) -> None:
-        """Begin with some distinct states; closed: there are no others.
+        """Begin with distinct states; if ``closed``, any other state is an error.
 
         Args:
             states: states that are known from the beginning.
@@ -1040,7 +1041,7 @@ class FlatModel:
         return paid
 
     def _paid_by_name(self, costs: Mapping[Any, Any], state: Hashable, action: Hashable) -> float:
-        """Return the cost of an outcome that counts, recording all its costs by name."""
+        """Return the model's own cost of an outcome, and record all its costs by name."""
         named: dict[str, list[float]] = self.arrays["named_costs"]
         where = f"action {action!r} of state {state!r}"
         if not self.arrays["costs"]:
@@ -1142,7 +1143,7 @@ def _test_of(members: StateSet, name: str) -> Callable[[Any], Any]:
 
 
 def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
-    """Return an argument's states, rejecting a lone string, which would be its letters."""
+    """Return an argument's states; a single string is an error, not the set of its letters."""
     if isinstance(states, (list, tuple)):
         for state in states:
             check_hashable(state, name)
@@ -1199,7 +1200,7 @@ def _checked_probabilities(model: SSP, normalise: bool = False) -> FloatArray:
 
     Args:
         model: the model.
-        normalise: divide out deviations of the sums up to 1e-5 (single precision), not 1e-9.
+        normalise: correct deviations of the sums up to 1e-5 (single precision), not 1e-9.
 
     Raises:
         ModelError: a number that is not finite and >= 0, a pair without outcomes, or one whose
@@ -1255,7 +1256,7 @@ def _costs_of_outcomes(costs: npt.ArrayLike, outcome_offsets: IntArray) -> Float
 
 
 def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) -> None:
-    """Check that a model's goals have no pairs, and that other states without pairs are dead-ends.
+    """Check that goals have no pairs, and that other states without pairs are dead-ends.
 
     Args:
         model: the model.
@@ -1321,12 +1322,12 @@ def _dead_end_members(model: SSP, dead_ends: DeadEnds) -> IntArray:
 def _warn_of_misspelled(states: Sequence[Any], idle: BoolArray) -> None:
     """Warn if the name of a state without actions resembles the name of another state.
 
-    Two names resemble each other if they become equal when one letter is left out of each, as a
-    transposed, a missing or a wrong letter makes them; names that differ in digits do not.
+    Two names resemble each other if they become equal when one letter is left out of each: one name
+    has a transposed, a missing or a wrong letter. Names that differ in digits do not.
 
     Args:
         states: names of the states.
-        idle: those without actions that nobody has listed, [states].
+        idle: states without actions that are not listed as dead-ends, [states].
     """
     known = {part: name for name in compress(states, idle) for part in _with_a_letter_less(name)}
     for other in compress(states, ~idle) if known else ():
@@ -1345,7 +1346,7 @@ _NO_DIGITS = str.maketrans("", "", "0123456789")
 
 
 def _with_a_letter_less(name: Any, least: int = 4) -> set[str]:
-    """Return a state's name, and the name without one of its letters, each in turn.
+    """Return a state's name, and all names with one of its letters left out.
 
     The set is empty for other types than text, and for names too short to be compared.
     """

@@ -2,8 +2,8 @@
 
 The trace of a run has a position for each state: the labels of the state and, except at the last
 position, the action taken there. A formula is a tuple of its operator and its parts; negations
-occur only at names. It is followed by progression: after each position an obligation remains, which
-must hold from the next position on; it is a set of alternatives, each a set of formulas.
+occur only at names. Progression reads the trace: after each position an obligation remains, which
+must hold from the next position on. An obligation is a set of alternatives, each a set of formulas.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class _Reader:
 
 
 def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
-    """Return an equal formula with negations at names only: not X f becomes N not f, and so on."""
+    """Return an equivalent formula with negations at names only: not X f becomes N not f."""
     kind, *parts = formula
     if kind == "not":
         return _negated_at_names(parts[0], negated=not negated)
@@ -129,7 +129,7 @@ def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
 
 
 def _simplest(alternatives: Iterable[frozenset[Formula]]) -> Obligation:
-    """Return the alternatives that contain no other one, so that equal obligations are equal."""
+    """Remove alternatives that contain another one, so that equivalent obligations are equal."""
     every = frozenset(alternatives)
     return frozenset(a for a in every if not any(b < a for b in every))
 
@@ -176,7 +176,7 @@ def _here(formula: Formula, seen: frozenset[str], go_on: bool) -> Obligation:
 
 
 def _left(obligation: Obligation, seen: frozenset[str], go_on: bool = True) -> Obligation:
-    """Return the obligation that remains of another one after a position, as :func:`_here`."""
+    """Return the obligation that remains of an obligation after a position, as :func:`_here`."""
     left = _BROKEN
     for alternative in obligation:
         every = _MET
@@ -187,7 +187,7 @@ def _left(obligation: Obligation, seen: frozenset[str], go_on: bool = True) -> O
 
 
 def _text(formula: Formula, inside: bool = False) -> str:
-    """Return a formula as it may be typed, in brackets inside another one if it is binary."""
+    """Return a formula as text that can be typed; a binary part of another one has brackets."""
     kind, *parts = formula
     if kind in ("true", "false"):
         return str(kind)
@@ -204,7 +204,7 @@ def _text(formula: Formula, inside: bool = False) -> str:
 
 
 def _obligation_text(obligation: Obligation) -> str:
-    """Return an obligation as it may be typed."""
+    """Return an obligation as text that can be typed."""
     inside = len(obligation) > 1
     texts = [
         " & ".join(sorted(_text(f, inside or len(each) > 1) for f in each)) for each in obligation
@@ -252,7 +252,7 @@ class Task:
         return tuple(found)
 
     def seen(self, model: SSP) -> tuple[IntArray, IntArray]:
-        """Return the sets of names that hold, as sums of powers of two in the order of ``names``.
+        """Return the names that hold, as sums of powers of two in the order of ``names``.
 
         Args:
             model: the model.

@@ -1,4 +1,4 @@
-"""The product of a model with an automaton that follows a run outcome by outcome.
+"""The product of a model with an automaton that reads the outcomes of a run.
 
 Limits on whole runs ("at most 10 units of fuel with 95 %", "the key before the door") depend on the
 history of a run. An automaton with finitely many values summarises it; the product has the states
@@ -54,7 +54,7 @@ class Automaton(Report, ReadOnlyCopies):
         self.keep_read_only("moves", "letter", "begin")
 
     def edges(self) -> list[tuple[int, int, str]]:
-        """Return the automaton's moves: a value, the next one, and the letters between them."""
+        """Return the moves: a value, the next value, and the letters that lead there."""
         return [
             (value, after, " or ".join(compress(self.letters, self.moves[value] == after)))
             for value in range(len(self.words))
@@ -116,7 +116,7 @@ class TrackedSSP(ProductSSP):
 
 
 def followed_in(model: SSP, follows: object) -> tuple[TrackedSSP, IntArray] | None:
-    """Return the product with the automaton of a limit, among the products of a model, or None.
+    """Return that of a model's nested products which has the automaton of a limit, or None.
 
     Args:
         model: a product of products.

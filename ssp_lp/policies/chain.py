@@ -74,7 +74,7 @@ class Chain:
 
     @cached_property
     def alive(self) -> BoolArray:
-        """Nodes before the goal from which the chain may reach it, [nodes]."""
+        """Nodes, goals excluded, from which the chain may reach the goal, [nodes]."""
         return np.asarray(self.reaching(self.goal > 0) & (self.goal == 0))
 
     @cached_property

@@ -39,8 +39,8 @@ class CostAwarePolicy(Policy):
     can, the paper's pi'_or of section 3.5) if the layer has reached ``tail_threshold`` of the
     state, otherwise to the first; memory is then ``cap + tail``.
 
-    If it ``rounds_up``, a step passes the next whole number of layers: the cost paid is at most
-    that of the memory, so that a law of rounded costs never overstates success.
+    If it ``rounds_up``, the cost of a step is rounded up to whole layers. The cost paid is then at
+    most the cost in the memory, so a law of rounded costs never overstates success.
 
     ``levels`` replace the layers by given totals, the last of which is the cap. After a step the
     memory is the level nearest to the sum of the previous level and the step's cost, so that any
@@ -90,7 +90,7 @@ class CostAwarePolicy(Policy):
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """Layers, and the rule by which tails are chosen."""
+        """Layers, and the rule that chooses a tail."""
         levels = b"" if self.levels is None else self.levels.tobytes()
         kept = self.cap, self.unit, self.rounds_up, len(self.tails)
         return *kept, self.tail_threshold.tobytes(), levels
@@ -241,7 +241,7 @@ class CostAwarePolicy(Policy):
         return np.asarray(edges[is_apart[: len(edges)]])
 
     def _memory_at(self, layer: IntArray, is_late: BoolArray) -> IntArray:
-        """Return the memory of a cost-aware policy at a layer, or of its tail: the last if late."""
+        """Return the memory at a layer or, from the cap on, of a tail: the last tail if late."""
         tail = np.where(is_late, len(self.tails) - 1, 0)
         return np.where(layer < self.cap, layer, self.cap + tail)
 
@@ -274,7 +274,7 @@ def _nearest_cost_level(levels: FloatArray, totals: FloatArray) -> IntArray:
 
 
 def levels_of(policies: Iterable[Policy], layers: int | None = None) -> FloatArray | None:
-    """Return the totals that a cost-aware member of a lottery distinguishes, or None for units.
+    """Return the totals that a lottery's cost-aware member distinguishes; None: multiples of units.
 
     Args:
         policies: the members.

@@ -92,7 +92,7 @@ class Branches(NamedTuple):
     )
 
     def kept(self, memory: IntArray) -> IntArray:
-        """Return the memory of each decision, given that of the situations, [branches]."""
+        """Return the memory of each decision, given the memory of the situations, [branches]."""
         return memory[self.situation] if self.memory is None else self.memory
 
     def gives_up(self, memory: IntArray) -> BoolArray:
@@ -351,7 +351,7 @@ class Policy(_Playable):
     def staying(self) -> IntArray:
         """Pair of each state by which the policy surely avoids the goal, or UNDECIDED, [states].
 
-        If possible, the policy stays for ever without paying any limited quantity.
+        If possible, this pair lets the policy stay for ever without any limited quantity.
         """
         pairs = np.flatnonzero(attention_pairs(self.model, attention_states(self.model)))
         states, first = np.unique(self.model.pair_state[pairs], return_index=True)
@@ -448,8 +448,9 @@ class EpisodeBatch:
     def actions(self, states: Sequence[Hashable]) -> list[Hashable]:
         """Return the policy's action in each episode of the batch, [episodes].
 
-        It is :data:`GIVE_UP` once an episode has given up, and None once it is over, at a goal or
-        in a dead-end, whatever its state. An episode that gives up and goes on has an action, and
+        It is :data:`GIVE_UP` from the step on at which an episode gives up, and None once the
+        episode is over at a goal or in a dead-end, whatever its state. An episode that gives up and
+        goes on has an action, and
         ``failed`` from then on.
 
         Args:
@@ -614,7 +615,7 @@ class Episode:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeterministicPolicy(Policy):
-    """One decision per state: a pair of the model, giving up, or none where it never acts."""
+    """One decision per state: a pair of the model, giving up, or no decision if it never acts."""
 
     model: SSP
     decision: IntArray  # [states] pair, GIVE_UP_CODE or UNDECIDED
@@ -699,8 +700,9 @@ def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = Fals
 class StochasticPolicy(Policy):
     """A distribution over decisions in each situation, that is in each (state, memory).
 
-    Situations are sorted by (memory, state). Memory is updated as that of ``carrier``; without a
-    carrier the policy is stationary on the model's states. The randomised policy equivalent to a
+    Situations are sorted by (memory, state). The memory is updated like the memory of ``carrier``;
+    without a carrier the policy is stationary on the model's states. The randomised policy
+    equivalent to a
     mixed policy (paper, section 2.2) has this form.
     """
 

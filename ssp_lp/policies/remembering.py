@@ -1,6 +1,6 @@
 """Policies with a memory: steps taken, a memory of your own, or several at once.
 
-Such a policy acts on a product of model and memory, and is led back to the model itself.
+Such a policy is computed on a product of model and memory, and translated to the model itself.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from ssp_lp.policies.policy import (
 
 
 class _Carried(Policy):
-    """Policy that adds a digit to an inner one's memory: ``inner memory * len(digits) + digit``."""
+    """Policy with an inner policy's memory and a digit: ``inner memory * len(digits) + digit``."""
 
     inner: Policy
 
@@ -83,7 +83,7 @@ class _Carried(Policy):
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class TimedPolicy(_Carried):
-    """One policy for each time step, the last of them for good (paper, section 3.4).
+    """One policy for each time step; the last one acts in all later steps (paper, section 3.4).
 
     The stages must share one memory: each must understand the memory of all others. The digit is
     the stage.
@@ -348,8 +348,8 @@ class RememberingPolicy(_Carried):
 class LabelledPolicy(_Carried):
     """A policy of (state, label of failing) that acts on states, also after failing.
 
-    Giving up comes with an action, and is remembered as "giving up". In a dead-end the policy goes
-    on if its problem counts quantities there. The digit is the label.
+    Giving up is combined with an action, and remembered as "giving up". In a dead-end the policy
+    continues if its problem counts quantities there. The digit is the label.
     """
 
     inner: Policy  # on the product with the label
@@ -442,7 +442,7 @@ class CompletePolicy(_Carried):
     """A policy that extends another one to all states with actions.
 
     The digit is 0 while the inner policy acts, 1 once its episode is over (given up, or at a
-    dead-end), and 2 in episodes that begin where none of its own begins.
+    dead-end), and 2 in episodes that begin in a state in which the inner policy cannot begin.
 
     Raises:
         ModelError: a decision is not a pair of its state.
@@ -527,10 +527,9 @@ def acting_everywhere(
 ) -> MixedPolicy:
     """Return a policy that acts in every state of its model that has actions, except at goals.
 
-    It acts as the given policy where that has a decision. After giving up and in dead-ends it acts
-    as the given policy does there, if quantities that follow failing count in the policy's problem;
-    otherwise it avoids the goal surely, if possible. ``default`` takes precedence over these rules
-    and over ``otherwise``.
+    It acts as the given policy where this has a decision; after giving up and in dead-ends only if
+    the policy's problem counts quantities after failing. Otherwise it avoids the goal surely there,
+    if possible. ``default`` takes precedence over these rules and over ``otherwise``.
 
     Args:
         policy: any policy, or a lottery.
@@ -564,7 +563,7 @@ def acting_everywhere(
     planned = first if otherwise is None else np.where(otherwise >= 0, otherwise, first)
 
     def preferring(decision: IntArray) -> IntArray:
-        """Return decisions with those replaced for which there is a default, [states]."""
+        """Replace decisions by the default where there is one, [states]."""
         return np.where(preferred >= 0, preferred, np.where(decision >= 0, decision, planned))
 
     later = np.full(model.n_states, UNDECIDED) if afterwards is None else afterwards
@@ -579,7 +578,7 @@ def acting_everywhere(
 
 @explained
 def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """Return the policy of a product as one with its memory on the original model.
+    """Translate a policy of a product to the original model; it then updates the memory itself.
 
     Args:
         policy: such as a solution's, of a problem on ``product(model, memory)``.

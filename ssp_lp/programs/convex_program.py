@@ -48,7 +48,7 @@ _HOW = "a convex expression <= a concave one, or == between affine ones, such as
 
 
 class _ScaledExpression:
-    """An affine expression of the visits in case S, whose bounds are scaled automatically.
+    """An affine expression of the visits in case S, which scales its bounds automatically.
 
     ``scaled`` is the expression in cvxpy's variables: the value for the visits times ``scale``.
     """
@@ -272,7 +272,8 @@ class ConvexProgram:
     def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
         """Return a policy's visits, each row's violation, and the rows that the solver violates.
 
-        The smallest noise level is removed that makes the visits those of a policy within the rows.
+        The visits are cleaned of noise, at the smallest level at which a policy within the rows has
+        these visits.
         """
         problem, given, solvers = self.problem, self.measure(), _broken_rows(self._added)
         program, scale = given.program, self._scale

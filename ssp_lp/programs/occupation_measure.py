@@ -162,8 +162,8 @@ class OccupationMeasure:
     def balanced(self, noise: tuple[float, float] = NOISES[0]) -> OccupationMeasure:
         """Return the measure of the policy that draws each pair by its share of its state's visits.
 
-        If the visits balance, the result is equal to this measure without circulation in cycles
-        that the policy never enters.
+        If the visits balance, the result is this measure without the visits that circulate in
+        cycles, which the policy never enters.
 
         Args:
             noise: outflow of a state, and share of it, up to which visits count as 0.
@@ -190,15 +190,16 @@ class OccupationMeasure:
     def mixed_policy(self) -> MixedPolicy:
         """Return a lottery over deterministic policies, drawn at the start, with these visits.
 
-        If the measure is a vertex of the program, there is at most one more member than there are
-        rows met with equality; otherwise there are finitely many. The objective and the failure of
+        If the measure is a vertex of the program, there is at most one member more than there are
+        rows that hold with equality; otherwise there may be more members. The objective and the
+        failure of
         an optimal measure are preserved. Secondary costs, and the cost of a measure found with
         other objectives or rows, may be lower: visits that circulate for ever belong to no
         deterministic policy that leaves, and a member that can no longer reach the goal has failed
         and pays nothing more.
 
-        If the visits balance only within a solver's tolerance, the smallest noise level is removed
-        that makes them the visits of a policy.
+        If the visits balance only within a solver's tolerance, noise is removed, at the smallest
+        level at which they become the visits of a policy.
 
         Raises:
             SolverError: no policy that leaves has such visits, or the lottery breaks a row by more
@@ -278,10 +279,10 @@ class OccupationMeasure:
 
 @dataclass(frozen=True, eq=False)
 class StateValues:
-    """Dual values of states: the least expected cost from there, rows charged at their prices.
+    """Dual values of states: the least expected cost from a state, with rows charged at prices.
 
-    ``values["depot"]`` is the value of a state. Their mean over the start is c* plus the price
-    times the bound of each row. In case S the cost is reduced by c* times the goal probability, so
+    ``values["depot"]`` is the value of a state. The mean over the start is c* plus the sum of price
+    times bound over the rows. In case S the cost is reduced by c* times the goal probability, so
     that the mean is the sum of price times bound alone.
     """
 
@@ -340,7 +341,7 @@ def balanced_visits(
 
     A solver's visits balance only within its tolerance; the result balances to rounding. In states
     from which the goal cannot be reached, the policy gives up if it may and ``gives_up`` is given.
-    Visits that circulate for ever are left out, as no policy enters such cycles.
+    Visits that circulate for ever are left out, since no policy enters such cycles.
 
     Args:
         process: the process.
@@ -407,11 +408,10 @@ def _decomposed(
 
     The measures of a process are a polytope whose vertices are the measures of deterministic
     policies (Altman 1999; paper, section 2.2). A policy that only takes pairs with positive visits
-    is split off with the greatest weight that leaves no visit negative. This uses up at least one
-    pair, so that the number of members is at most one plus the number of pairs beyond one per
-    state. At a vertex of a program, the pairs beyond one per state are as many as the rows that are
-    met with equality. The remainder are visits that circulate for ever; they cost nothing if the
-    measure is optimal, and no policy needs them.
+    is split off with the greatest weight that leaves no visit negative. Each such step uses up at
+    least one pair. Let there be k more pairs than states: then there are at most k + 1 members. At
+    a vertex of a program, k is the number of rows that hold with equality. The remaining visits
+    circulate for ever; they cost nothing if the measure is optimal, and no policy needs them.
 
     Args:
         process: the process.

@@ -205,12 +205,12 @@ class OccupationProgram(Report):
     def bounded_by(self, bounds: Mapping[str, float], *, anew: bool = True) -> OccupationProgram:
         """Return the program with other bounds, by name of the row; see :meth:`row`.
 
-        Parts that depend on the bounds are rebuilt: the accumulated costs that are distinguished,
-        and the actions that attain the least failure.
+        The program is rebuilt where it depends on the bounds: the accumulated costs that are
+        distinguished, and the actions that attain the least failure.
 
         Args:
             bounds: by name of the row.
-            anew: False: with the present columns.
+            anew: False: keep the present columns.
 
         Raises:
             ModelError: there is no such row, or a bound is not a number.
@@ -238,8 +238,8 @@ class OccupationProgram(Report):
     def started(self, start: Hashable | Mapping[Hashable, float]) -> OccupationProgram:
         """Return the program from another start: a state, or a distribution.
 
-        Parts that depend on the start are rebuilt: the accumulated costs that are distinguished,
-        steps under a horizon, and the source of episodes that end where they begin.
+        The program is rebuilt where it depends on the start: the accumulated costs that are
+        distinguished, steps under a horizon, and the source of episodes that end where they begin.
 
         Raises:
             ModelError: unknown states, or probabilities that are no distribution.
@@ -626,7 +626,8 @@ class OccupationProgram(Report):
     def ranges(self) -> Mapping[str, tuple[float, float]]:
         """Compute the range of each bound in which its price stays constant, by name.
 
-        HiGHS computes the ranges at a vertex; if several prices are optimal, for one of them.
+        HiGHS computes the ranges at a vertex. If several prices are optimal, they belong to one
+        price.
 
         Raises:
             ModelError: case S, in which prices change with every bound.
