@@ -5,9 +5,9 @@ common unit. If that unit gives too many layers, the sums that occur are followe
 increasing order. Sums are exact multiples of a unit, however small, as a float means its shortest
 decimal: equal sums are found by equal integers.
 
-A chain of few nodes that hardly leaves may arrive in millions of layers. The transition of one
-layer is a matrix on the places where mass can wait, and its powers of two lead to any layer in as
-many products as its number has binary digits. Exit probabilities are carried as data and summed
+A chain of few nodes that is rarely left may need millions of layers. The transition of one layer is
+a matrix on the places where mass can wait. Its powers of two lead to any layer, in as many products
+as the number of the layer has binary digits. Exit probabilities are carried as data and summed
 without subtraction. The rows of a power are scaled to 1 minus their exits, so that the rounding
 error of a probability near 1 does not grow with the power.
 """
@@ -157,7 +157,7 @@ class _LayerPower(NamedTuple):
 class _LayerPowers:
     """Powers of two of the transition of one layer, computed when needed. Mutable.
 
-    Mass waits at places: a node, a number of layers ahead. Places are sorted by node.
+    Mass waits at places. A place is a node and a number of layers ahead; places are sorted by node.
     """
 
     def __init__(
@@ -546,7 +546,7 @@ class TooManySumsError(ModelError):
 
 
 class FollowedSums(Arrivals):
-    """Arrivals in layers of a tiny unit, of which only those with waiting mass are visited.
+    """Arrivals in layers of a tiny unit; only layers with waiting mass are visited.
 
     Likely sums are followed exactly. Mass at an unlikely sum is rounded up to the next multiple of
     a coarse unit, where it is merged with other mass. The more sums have been followed, the
@@ -571,8 +571,9 @@ class FollowedSums(Arrivals):
             exact_costs: float cost -> the fraction that it means.
             coarse: unit to whose multiples unlikely sums are rounded up.
             most: most sums that are followed exactly.
-            rarest: share of the successes up to which the last of these sums is unlikely. With the
-            default, only sums below rounding are rounded; otherwise all sums after ``most`` are.
+            rarest: share of the successes up to which the last of these sums counts as unlikely. By
+            default only sums with a share below rounding are rounded up; otherwise all sums after
+            ``most`` are.
         """
         distinct, step = np.unique(live.paid, return_inverse=True)
         unit = common_unit(distinct, exact_costs)

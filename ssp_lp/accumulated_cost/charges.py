@@ -47,7 +47,7 @@ def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> Flo
 
 
 def _check_monotone(worth: FloatArray, growth: FloatArray, costs: FloatArray, rule: str) -> None:
-    """Check that worth and growth are non-negative; else raise :class:`ModelError`."""
+    """Raise :class:`ModelError` unless worth and growth are non-negative."""
     wrong = (worth < 0.0) | np.append(growth < 0.0, False)
     if wrong.any():
         raise ModelError(f"{rule}: it does at cost {float(costs[int(np.argmax(wrong))]):g}")
@@ -81,7 +81,7 @@ class TailValues(NamedTuple):
 
 
 class Charge(ABC):
-    """A non-decreasing function of the total cost, by default affine in the end."""
+    """A non-decreasing function of the total cost, by default affine from some total on."""
 
     is_the_total: ClassVar[bool] = False  # whether it is the total cost itself
 

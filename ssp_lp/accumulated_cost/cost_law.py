@@ -51,8 +51,8 @@ class CostLaw:
     The missing mass is the failure probability. :attr:`goal`, :attr:`cost` and :meth:`exponential`
     are linear solves on the policy's chain. Other numbers follow the chain through layers of the
     costs' common unit, or through the sums that occur, as far as needed. The progress is cached for
-    the next call, and does not change a result. Very unlikely sums are rounded up. If the likely
-    sums are too many, all costs are rounded up, by less than a two-thousandth of the mean or to the
+    the next call, and does not change a result. Very unlikely sums are rounded up. If there are too
+    many likely sums, all costs are rounded up: by less than a two-thousandth of the mean, or to the
     finer layers of a policy that rounds up itself. Rounding never understates a total, quantile,
     excess or late arrival, and never overstates a utility.
     """

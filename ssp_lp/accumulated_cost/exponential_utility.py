@@ -28,8 +28,9 @@ _ONE = np.ones(1)
 def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachPolicy:
     """Maximise the moment E[exp(rate * C); goal] over the policies on some pairs.
 
-    Every step of positive cost scales the later worth down, so that this is an ordinary problem on
-    a substochastic process. Free end components are collapsed, and a policy leaves them.
+    Every step of positive cost multiplies the later worth by a factor below 1, so this is an
+    ordinary problem on a substochastic process. Free end components are collapsed, and a policy
+    leaves them.
 
     Args:
         model: the model.
@@ -58,7 +59,7 @@ def pairs_keeping_goal(model: SSP, greatest: GoalReach) -> BoolArray:
     """Return a mask of the pairs that preserve the greatest goal probability, [pairs].
 
     Pairs that lose no more than the failure floor are included, because such a pair could stay
-    optimal until the cost exceeds every cap. What a tail on these pairs loses is part of the gap
+    optimal until the cost exceeds every cap. The loss of a tail on these pairs is a part of the gap
     between the tail's value and the bound.
     """
     floor = FAILURE_FLOOR * greatest.goal[model.pair_state]

@@ -5,8 +5,8 @@ can reach are held. Below the cap this gives the value of the policy and the law
 Mass that reaches the cap continues by the policy's tails, whose chains are written out. Free steps
 form a chain within each layer.
 
-If a policy does not reach the goal from a state, the goal can be avoided surely there, so that the
-policy may give up: later costs do not change the cost given success.
+If a policy never reaches the goal from a state, the goal can be avoided surely there, and the
+policy may give up, since later costs do not change the cost given success.
 """
 
 from __future__ import annotations
@@ -487,7 +487,7 @@ def chains_of_law(
         policy: policy on the model.
         start: distribution over states, [states].
         chain: chain of the policy, if known.
-        soon: whether to avoid a chain of many nodes, even if the policy has little memory.
+        soon: avoid a chain of many nodes, even if the policy has little memory.
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches.

@@ -1,8 +1,8 @@
 """The accumulated-cost process of case S (paper, section 3.1.1), in layers.
 
-States are (node, layer); the layer is the accumulated cost. Only the structure of one layer is
-stored, as it is the same for all. A failing episode costs nothing, so that a policy may fail at
-once where it can avoid the goal surely (attention states). The process is truncated at a cap M,
+States are (node, layer); the layer is the accumulated cost. All layers have the same structure,
+which is stored once. A failing episode costs nothing, so a policy may fail at once where it can
+avoid the goal surely (attention states). The process is truncated at a cap M,
 where tail policies take over; sweeps solve it layer by layer.
 """
 
@@ -115,7 +115,7 @@ class AccumulatedCost:
     def steps_within(self) -> FloatArray | None:
         """Upper bound of every policy's expected steps within a layer, [nodes]; None: it is large.
 
-        If one more step raises the bound by at most 1/2, twice the bound holds.
+        Once one more iteration raises the bound by at most 1/2, twice the bound is valid.
         """
         steps = np.ones(self.n_nodes)
         for _ in range(_MOST_TURNS):
@@ -193,8 +193,8 @@ def accumulate_cost(
         discount: None keeps real probabilities; a number scales every transition by it.
         arrivals: also classify the steps into the goal, so that any function of the total cost can
             be charged.
-        usable: pairs that may be used, [model pairs]; with it a policy may not fail by choice: the
-            second stage of a least-failure problem (mathematics, section 4).
+        usable: pairs that may be used, [model pairs]. If given, a policy may not fail by choice:
+            this is the second stage of a least-failure problem (mathematics, section 4).
         side: further limits.
         by_steps: classify steps by distinct costs, rather than by multiples of a common unit.
         quotient: the live part of the model, with the pairs that give up; None: built here.
@@ -438,7 +438,7 @@ class LayeredProcess(ChargedLayers):
     def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
         """Return a lower bound of every policy's value beyond the cap, [layers, nodes].
 
-        Success is charged at least the charge at the present total: charge(r) * early + price * (1
+        Success is charged at least the charge of the present total: charge(r) * early + price * (1
         - goal) with early = goal / gamma (mathematics, section 5: r + (kappa - r) F). The bound is
         exact where failing is optimal and possible.
 

@@ -1,9 +1,10 @@
 """Sweeps over the layers of an accumulated-cost process: backward for values, forward for mass.
 
 A backward sweep finds the optimal choice, evaluates a choice, or gives lower bounds of the values
-of every policy. For layers of some hundred nodes the interpreter takes longer than the arithmetic,
-and if every policy leaves a layer after a few free steps, equations take longer than Gauss-Seidel
-turns over the layer. Such processes are swept in one compiled pass. If the free steps are acyclic,
+of every policy. A process is swept in one compiled pass in two cases: its layers have only some
+hundred nodes, so that the interpreter takes longer than the arithmetic; or every policy leaves a
+layer after a few free steps, so that equations take longer than Gauss-Seidel turns over the layer.
+If the free steps are acyclic,
 one turn is enough.
 
 A forward sweep sends on one number per node, only from nodes that the choice reaches. A backward

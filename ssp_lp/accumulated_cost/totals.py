@@ -38,9 +38,9 @@ _NO_COSTS: Mapping[float, Fraction] = MappingProxyType({})
 
 
 def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COSTS) -> Fraction:
-    """Return the fraction that a cost means: by default its shortest decimal.
+    """Return the fraction that a cost stands for: by default its shortest decimal.
 
-    Rounded sums of decimals mean the short decimal nearby: 0.1 * 3 means 0.3.
+    Rounded sums of decimals stand for the short decimal nearby: 0.1 * 3 stands for 0.3.
 
     Args:
         cost: the cost.
@@ -423,7 +423,7 @@ class Totals:
 
     @cached_property
     def ahead(self) -> IntArray | None:
-        """Number of layers from the next total to the one that a step leads to.
+        """Number of layers from the next total to the total that a step leads to.
 
         [totals below the cap, steps - 1]; None for multiples of a unit, where it follows from the
         class.

@@ -99,8 +99,8 @@ def required(part: _Array | None) -> _Array:
 class PricingProblem(ABC):
     """Minimises ``cost + failure_price * failure`` and evaluates the policy found.
 
-    The states need not fit into one array: an implementation may be explicit, layered or
-    distributed.
+    An implementation may be explicit, layered or distributed: the states need not fit into one
+    array.
     """
 
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure

@@ -303,7 +303,7 @@ _LOST = 1e-6  # goal probability that a policy of least failure may lose to roun
 
 @dataclass(frozen=True, eq=False)
 class CompiledLayered(CompiledProblem):
-    """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), failure limited.
+    """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), within a failure budget.
 
     With the total cost as charge and a ratio this is case S (paper, section 3.1.1). The layers of
     accumulated cost end where the charge becomes affine, as the optimal tail is then known in

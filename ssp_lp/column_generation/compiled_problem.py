@@ -272,7 +272,7 @@ def unreachable(
     discount: float | None,
     why: str = "no cost given success exists",
 ) -> InfeasibleError:
-    """Return the error of a problem that has no answer as its goal cannot be reached.
+    """Return the error of a problem whose goal cannot be reached.
 
     Args:
         model: the model.
@@ -301,7 +301,7 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
 
     Raises:
         InfeasibleError: no policy satisfies the budget, or no cost given success exists.
-        SolverError: the policy violates the budget, but the proof leaves open whether all do.
+        SolverError: the policy violates the budget, but it is not proved that all policies do.
     """
     least_failure = compiled.least_failure()
     failure, discounted = least_failure.column.failure, compiled.facts.discount is not None
@@ -499,7 +499,7 @@ _UNPROVED = 1e-10
 """Relative gap with least failure above which pairs are compared in twice the working precision."""
 
 ATTAINABLE = 1e-10
-"""A bound this much below the least attainable total, relative to it, counts as equal to it."""
+"""Relative distance of a bound below the least attainable total that counts as 0."""
 
 _MOST_SWEPT = 400_000_000
 """Most pairs of all layers without writing them out: a choice takes a byte for each node."""
@@ -646,7 +646,7 @@ class CompiledExplicit(CompiledProblem):
         )
 
     def _least_failure_alone(self) -> float:
-        """Return the least failure probability, computed when an error is asked for it."""
+        """Return the least failure probability, computed when the error's attribute is read."""
         model, start = self.facts.model, self.facts.start
         with limited(READING, "the least failure probability was computed"):
             return max(1.0 - goal_reach.greatest_goal_from(model, start), 0.0)

@@ -1,10 +1,11 @@
 """Solvers of a chain's equations: iteration, reduction of a band, sparse factors, or dense LU.
 
 A large strong component is solved iteratively as long as that takes less work than a direct
-solution. Sweeps are best if it is left soon; if they contract too slowly, BiCGStab takes a sweep as
-its preconditioner. Either method stops after the estimated work of a direct solution, so that no
-choice costs more than about twice the best one. Directly, a component that is narrow in some order
-is reduced state by state without subtractions; others are solved by sparse factors.
+solution. Sweeps are best if runs leave the component soon. If sweeps contract too slowly, BiCGStab
+uses a sweep as its preconditioner. Both stop after the estimated work of a direct solution, so the
+total is at most about twice the work of the better choice. A direct solution reduces a component
+that is narrow in some order state by state, without subtractions, and uses sparse factors for
+others.
 """
 
 from __future__ import annotations

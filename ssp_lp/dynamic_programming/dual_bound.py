@@ -5,9 +5,9 @@ below: for policies that leave the process by iterating the inequality, and for 
 for ever since staying is failure, which costs at least v. The inequality is checked as ``c_u +
 sum_j p_uj (v_j - v_s) - exit_u v_s >= 0`` (see ``evaluation``).
 
-Near-optimal values violate it by rounding only, and are lowered as little as possible. A state's
-violation is called its lack. Lowering a state by its lack makes its predecessors lack as much, so
-that in long runs the lack of a step accumulates: values are lowered by the sum along a whole run.
+Near-optimal values violate it by rounding only, and are lowered as little as possible. The
+violation at a state is called its lack. If a state is lowered by its lack, its predecessors lack as
+much, so the lacks of the steps of a run add up: values are lowered by the sum along a whole run.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ def dual_bound(
 ) -> DualBound:
     """Lower given values as little as possible to a checked sub-solution.
 
-    Values that are optimal to rounding, but would have to be lowered by more since the process is
-    hardly ever left, are recomputed in twice the working precision.
+    If runs are very long, even values that are optimal to rounding would have to be lowered by more
+    than rounding. Such values are recomputed in twice the working precision.
 
     Args:
         dynamics: the process.
@@ -104,8 +104,8 @@ def dual_bound(
         floor: a constant that is known to be a sub-solution: 0 if no pair cost is negative.
         choice: a policy that leaves and has about these values, [states].
         start: positive in states where the bound must be near the values, [states]; None: all.
-        least_loss: distance from the values that suffices, for probabilities, which are not
-            recomputed more precisely if there are many states; None: a share of the values' size.
+        least_loss: sufficient distance from the values, for probabilities (which are not recomputed
+            if there are many states); None: a share of the values' size.
 
     Returns:
         Values that are checked lower bounds of the optimum.
@@ -212,7 +212,7 @@ def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> 
 def lowered_along_longest_run(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float, choice: IntArray
 ) -> FloatArray | None:
-    """Lower values along the worst near-optimal policy; None if by more than rounding.
+    """Lower values along the worst near-optimal policy; None if the lowering exceeds rounding.
 
     Let each step cost minus a few times the greatest lack, plus its pair's reduced cost. With the
     least totals w of these costs, ``v + w`` is a sub-solution. Without cycles each value is lowered

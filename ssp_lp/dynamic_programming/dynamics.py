@@ -65,8 +65,8 @@ probability of departing, 0 if a pair only waits, [some pairs]."""
 class Dynamics:
     """Pairs of each state, their transitions, and their probabilities of leaving for good.
 
-    The exits are stored: computed as ``1 - sum`` they would be lost to rounding if a process is
-    hardly ever left. Row and exit are exact data, even if their sum differs from 1 by rounding.
+    The exits are stored. Computed as ``1 - sum`` a tiny exit would be lost to rounding. Row and
+    exit are exact data, even if their sum differs from 1 by rounding.
     """
 
     pair_offsets: IntArray  # [states + 1]
@@ -249,8 +249,8 @@ def without_self_loops(
 ) -> tuple[sp.csr_array, FloatArray]:
     """Remove self-loops by conditioning each row on departing from its state.
 
-    A self-loop changes no total, but divides everything else by the probability of departing. This
-    is summed from the other entries, never computed as 1 - p, which would cancel for slow loops.
+    No total changes; the other entries are divided by the probability of departing. It is summed
+    from these entries, since 1 - p would lose digits in slow loops.
 
     Args:
         rows: [rows, states], without duplicates.

@@ -2,8 +2,8 @@
 
 The probabilities of hitting and missing are each summed from their own exits, so that both are
 accurate relative to their size. A pair attains the extreme if taking it, as often as a run returns
-to it, loses no more than rounding: a small loss in a loop that is hardly ever left may add up to
-everything. If a component is too large for state reduction, a pair may lose a hundred
+to it, loses no more than rounding. (In a loop that is rarely left, small losses add up.) If a
+component is too large for state reduction, a pair may lose a hundred
 ``FAILURE_FLOOR`` a step, and ``LEAST_BUDGET`` over the longest run of the quickest policy.
 """
 
@@ -170,10 +170,10 @@ def _swept_towards(
 ) -> tuple[IntArray, FloatArray, FloatArray | None]:
     """Improve a policy of extreme reach that leaves by sweeps in the order of distance.
 
-    Values rise from 0, each rounded down when it takes a better pair, so that the policy attains
-    them and leaves, as cycles lose by rounding. Values a little above are then swept, rounded up,
-    until a sweep raises none of them, which proves that no policy attains more (optimistic value
-    iteration: Hartmanns and Kaminski, CAV 2020).
+    Values rise from 0, and each is rounded down when it takes a better pair. So the policy attains
+    them, and it leaves, since values in a cycle would fall by rounding. Then values a little above
+    these are swept, rounded up. If a sweep raises none of them, no policy attains more (optimistic
+    value iteration: Hartmanns and Kaminski, CAV 2020).
 
     Args:
         dynamics: the process.

@@ -1,9 +1,10 @@
 """Policy iteration from a policy that leaves, along the structure of a process.
 
-A process of small components is solved in one pass, ends first; others by Howard's rounds, whose
-evaluations become exact as the gains shrink. Rounds alone are as many as a run is long. So the
-policy is also improved in place between two rounds, by Bellman backups in the order of the values,
-forward and backward. Gains spread in both directions: to the predecessors of a state, which come
+A process of small components is solved in one pass, ends first. Others are solved by Howard's
+rounds, whose evaluations become exact as the gains shrink. Rounds alone could be as many as a run
+has steps. Therefore the policy is also improved in place between two rounds, by Bellman backups in
+the order of the values, forward and backward. Gains spread in both directions: to the predecessors
+of a state, which come
 later in that order, and back once a better pair leads to states that were no successors before.
 
 The last policy is evaluated with a verified bound of its error. If the process is left so rarely
@@ -49,7 +50,7 @@ _WORTHLESS = 1e-16
 """Sum of all gains, relative to the values, below which policies could cycle."""
 
 MOST_ROUNDS = 10_000
-"""Number of rounds that only a defect could exceed, as every round improves the policy."""
+"""Most rounds; more would be a defect, since every round improves the policy."""
 
 _ROUGH = 0.1  # relative residual of the first evaluation
 _LAST_GAINS = 1e-4  # gains, relative to the values, below which evaluations are exact

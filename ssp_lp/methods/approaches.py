@@ -54,14 +54,14 @@ class Case:
 
     @staticmethod
     def of_solution(solution: Solution) -> Case:
-        """Return the case of a solution; without a value function it has no time left."""
+        """Return the case of a solution; without a value function, a case with no time left."""
         seconds = 0.0 if solution.value_function is None else np.inf
         on_levels = levels_of(solution.policy.policies) is not None
         return Case(solution.problem, seconds, on_levels=on_levels)
 
     @property
     def has_cheapest_way(self) -> bool:
-        """Whether the least total of a way to the goal bounds the optimum."""
+        """Whether the cost of the cheapest way to the goal bounds the optimum."""
         return self.problem.counts_totals and self.problem.failure_budget is not None
 
 

@@ -1,4 +1,4 @@
-"""Problems with a failure row at most: column generation, refined until the gap is met."""
+"""Problems without limits other than a failure budget: column generation with refinement."""
 
 from __future__ import annotations
 
@@ -166,8 +166,8 @@ _SURELY = 1.0 - 1e-9  # share of the budget: a lower failure proves that the lea
 def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove a lower bound of the cost of policies of least failure, by finite prices of failure.
 
-    Such a bound holds for every policy. If rounding leaves a gap at these prices, the bound of the
-    second stage is used, over the pairs that were found to attain the greatest goal probability.
+    Such a bound holds for every policy. If rounding leaves a gap at these prices, the second stage
+    gives the bound, over the pairs that were found to attain the greatest goal probability.
     """
     compiled, sense = solution.problem.compile(), solution.problem.semantics.sense
     safest = compiled.least_failure()
@@ -252,8 +252,8 @@ def _bound_by_values(
 def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     """Solve by the paper's construction, the game, without columns or linear programs.
 
-    With a fixed M (``options.tail``) the policy is evaluated exactly, and the bound is still that
-    of all policies.
+    With a fixed M (``options.tail``) the policy is evaluated exactly, and the bound still holds for
+    all policies.
     """
     from ssp_lp.game.optimum import stationary_game
 
@@ -356,10 +356,10 @@ def _capped_by_case_m(
 def _safest_optimum(
     compiled: CompiledProblem, row: FailureRow, least: LeastFailure | None, stop: BaseException
 ) -> Optimum[CompiledProblem]:
-    """Return the column of least failure after a stop without a column within the budget.
+    """Return the column of least failure, after a stop before a column was within the budget.
 
     Raises:
-        Stop: there is no time for it either, or a better incumbent exists.
+        Stop: there is no time to compute it, or a better incumbent exists.
     """
     if prepared() is not None:  # a better incumbent exists
         raise Stop from stop
@@ -384,8 +384,8 @@ def _attempt(
     """Run one search, started at the dual of the linear program if that is the method.
 
     If the budget equals the least failure, no program is solved, as its feasibility would depend
-    on rounding: the column of least failure is the answer, with its own bound. The least failure
-    is computed if the safest column is so near the budget that they may be equal.
+    on rounding: the column of least failure is the answer, with its own bound. The least failure is
+    computed if the safest column is so near the budget that both may be equal.
 
     Args:
         compiled: the problem.

@@ -15,18 +15,18 @@ for rounding, so that a solution that attains it needs no second try with a larg
 
 The ratio of case S is minimised by Dinkelbach's iteration. Every policy is read off y and evaluated
 exactly on the process; one that satisfies the budget only within HiGHS's tolerances is refused and
-excluded by a further row. The lower bound is the better of the lottery's bound and HiGHS's dual
-bound, lowered by 1e-9 of itself: that has HiGHS's tolerances and is not a checked sub-solution. If
-the gap misses the tolerance for this reason, the best policies, whose values are exact, are
-excluded one by one, so that HiGHS's bound is needed for the other policies only.
+excluded by a further row. The lower bound is the better of two bounds: the bound of the lottery,
+and HiGHS's dual bound, which is lowered by 1e-9 of itself because it is not a checked sub-solution.
+If the gap misses the tolerance for this reason, the best policies, whose values are exact, are
+excluded one by one, so that HiGHS's bound is needed only for the other policies.
 
 A deterministic optimum is a step function of the budget: it has no price of failure unless the
 budget is slack.
 
-Two kinds of policies are covered by the bound but not searched, so that a gap may remain without a
-time limit: those whose exit from a collapsed component depends on the entry, and those that differ
-from the tails beyond the cap of case S. Policies with more memory than the state of the process,
-which could randomise by observing chance, are not covered if the bound is HiGHS's.
+The bound holds for two kinds of policies that are not searched, so a gap may remain even without a
+time limit: policies whose exit from a collapsed component depends on the entry, and policies that
+differ from the tails beyond the cap of case S. HiGHS's bound does not hold for policies with more
+memory than the state of the process, which could randomise by observed chance.
 
 States with one pair, and states that may randomise, have no y.
 """
@@ -81,8 +81,8 @@ def best_deterministic(
 ) -> Solution:
     """Solve for the best deterministic policy, given the best lottery.
 
-    The search begins with the best member of the lottery within the budget and the policies
-    between its members. The lower bound of the lottery is the first lower bound.
+    The search begins with the best member of the lottery within the budget, and with policies that
+    combine its members. The lower bound of the lottery is the first lower bound.
 
     Args:
         mixed: the best lottery; its value function is kept.
@@ -379,8 +379,9 @@ def _with_loose_tails(
 ) -> ExplicitProcess:
     """Return a process whose tails attain the greatest and the least success at the cost paid.
 
-    Success from accumulated cost r on costs at least ``r * E[gamma^(T-1); goal]``, and its
-    probability lies between the two: some mixture of the tails costs no more than any policy.
+    From accumulated cost r on, success costs at least ``r * E[gamma^(T-1); goal]``, and its
+    probability lies between the greatest and the least. So for every policy some mixture of the
+    tails costs no more.
     """
     base, tails = layered.base, layered.tails
     n_layers = base.width - 1
@@ -430,7 +431,7 @@ def _has_time(solver: highspy.Highs, cost: FloatArray, deadline: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _IntegerAnswer:
-    """The solution of HiGHS, of which only the bound is trusted."""
+    """The answer of HiGHS; only its bound is trusted."""
 
     x: FloatArray | None  # [pairs] None: no policy was found
     choice: IntArray | None  # [states]

@@ -7,9 +7,9 @@ segment by more than the gap. Two searches find the split point:
 - **Columns**, if failure alone is limited. The pricing problem is solved at the slope of the
   segment: either no policy lies below it, or the column found is the next point.
 - **Optima at bounds**, over any limit, with the other limits fixed. A mixture of the lotteries of
-  two bounds attains every bound between them. The prices of an optimum with lower bound L prove for
-  every bound that no policy has less than ``L - price * (bound - its own bound)``. The problem is
-  solved next where the lines of two neighbours meet below the segment.
+  two bounds attains every bound between them. The prices of an optimum with lower bound L prove,
+  for every other bound, that no policy has less than ``L - price * (bound - its own bound)``. This
+  is a line below the frontier. The problem is solved next where the lines of two neighbours meet.
 
 **Given success** the objective is a ratio, for which prices prove ``cost / goal >= c - (c - L +
 price * (bound - its own bound)) * t`` with the attained value c and ``t = 1 / goal``. The goal
@@ -176,11 +176,11 @@ def trace_frontier(
 
 
 def _traceable(problem: Problem, over: str, limits: _TraceLimits) -> Problem:
-    """Return the problem, checked that its frontier over the limit can be traced.
+    """Return the problem after a check that its frontier over the limit can be traced.
 
     Raises:
-        ModelError: it cannot, as no limit of this name bounds from above, or the criterion is no
-            linear program.
+        ModelError: no limit of this name bounds from above, or the criterion is not a linear
+            program.
     """
     name, semantics = type(problem).__name__, problem.semantics
     if over == FAILURE_ROW:
@@ -264,7 +264,7 @@ class Frontier(Report):
 
     @property
     def open_segments(self) -> tuple[int, ...]:
-        """Indices of the segments below which points may be missing; k begins at point k."""
+        """Indices of the segments below which points may be missing; number k begins at point k."""
         numbers = np.flatnonzero(self.below > self.tolerance).tolist()
         return (*numbers, len(self.price)) if self.ends_early else tuple(numbers)
 
@@ -277,8 +277,9 @@ class Frontier(Report):
     def objective_at(self, budget: float) -> float:
         """Return the least objective within a failure budget, without a pricing call.
 
-        It is too high by at most ``tolerance`` times the cost at the safer end of the segment, in
-        case S divided by 1 - budget: near budget 1 this may be a larger share of the value.
+        Its error is at most ``tolerance`` times the cost at the safer end of the segment, upwards.
+        In case S this is divided by 1 - budget, and may be a larger share of the value near budget
+        1.
 
         Raises:
             InfeasibleError: the budget is below the least failure.
@@ -442,7 +443,7 @@ class Frontier(Report):
         return number, (budget - float(spent[number])) / width
 
     def _least_failure(self) -> float:
-        """Return the least failure probability, computed when an error is asked for it."""
+        """Return the least failure probability, computed when the error's attribute is read."""
         if self.problem is None:
             return float(self.failure.min())
         return budget_of_share(self.problem.model, self.problem.start, 1.0)
@@ -512,7 +513,7 @@ class _ColumnPoints:
         return least_of(max(map(row.lower_bound, proofs)), attained)
 
     def _proof_below(self, frontier: Frontier, segment: int) -> Proof:
-        """Return the proof at a segment's price; beyond the last, for a slack budget."""
+        """Return the proof at a segment's price; beyond the last, a proof for a slack budget."""
         column = self.columns[segment]
         if segment < len(self.columns) - 1:
             return self.proof(float(frontier.price[segment]), column)
@@ -700,10 +701,10 @@ def _share_below(p: Column, q: Column, column: Column | None, price: float) -> f
 
 
 def _traced_by_columns(problem: Problem, limits: _TraceLimits) -> Frontier:
-    """Trace over failure alone, on finer processes while the cap on the cost loses too much.
+    """Trace over failure alone, on finer processes while the cap on the cost leaves a large gap.
 
-    The cap loses most where the price is steepest. A few pricing calls at that end first find out
-    how fine the process must be; the rest is then traced once.
+    The gap is largest where the price is steepest. A few pricing calls at that end first determine
+    how fine the process must be; then the whole frontier is traced once.
 
     Raises:
         ModelError: the problem has no expected cost to trace.
@@ -809,7 +810,7 @@ class _Optima:
 
     @property
     def points(self) -> list[_Optimum]:
-        """The optima that no other optimum dominates, by increasing ``spent``."""
+        """The optima that are not dominated by another one, by increasing ``spent``."""
         points: list[_Optimum] = []
         for one in sorted(self.optima, key=lambda o: (o.spent, o.value)):
             if not points or one.value < points[-1].value - _STRAIGHT * abs(points[-1].value):

@@ -144,7 +144,7 @@ def _incumbent_value(
     Args:
         problem: the problem.
         policy: the policy.
-        room: tolerance of the budget for the policy of least failure; others have rounding alone.
+        room: tolerance of the budget for the policy of least failure; others only have rounding.
         judge: evaluates the policy, exactly or pessimistically.
     """
     evaluation, budget = judge(policy, problem), problem.failure_budget

@@ -35,9 +35,9 @@ def program_of(
     actions that attain the greatest goal probability, without a failure row (mathematics, section
     4). In case S the layers of accumulated cost end where column generation proves the optimum,
     or at the problem's ``cost_cap``. One last layer stands for all larger costs, and an arrival
-    from it is charged as if its cost had just been reached. The program is therefore a lower
-    bound of the problem with any further rows and bounds, and ``OccupationMeasure.beyond`` is the
-    missing charge.
+    from it is charged as if its cost had just been reached. The program is therefore a lower bound
+    of the problem with any further rows and bounds. ``OccupationMeasure.beyond`` is the probability
+    of such arrivals.
 
     Args:
         problem: a formulation.

@@ -1,8 +1,8 @@
 """Refinement: solve on finer and finer processes until the gap meets the tolerance.
 
-A process that truncates, rounds or compares too coarsely leaves a gap. Each method yields its
-attempts on finer processes, column generation by :func:`finer_optima`; :func:`refine` decides when
-to stop.
+A process that truncates, rounds or compares too coarsely leaves a gap. Each method yields attempts
+on finer and finer processes (column generation by :func:`finer_optima`), and :func:`refine` decides
+when to stop.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Optimum(Answer, Generic[_Compiled]):
         """Return the price of failure as a first price on a similar problem.
 
         Args:
-            spread: relative uncertainty; None: on the next finer process.
+            spread: relative uncertainty; None: the uncertainty on the next finer process.
         """
         if spread is None:
             spread = TRIAL_TOLERANCE if self.compiled.is_trial else SPREAD
@@ -126,12 +126,12 @@ def finer_optima(
     """Yield an optimum and those of finer and finer compiled problems, with the work of all.
 
     Args:
-        optimum: of the first problem. Without a value function its bound is not proved: it only
-            gives the price.
+        optimum: of the first problem. Without a value function its bound is not proved, and only
+            its price is used.
         attempt: solves a finer problem, given the optimum of the problem before.
         options: progress callback and limits.
-        patience: number of refinements in which the gap must at least halve, unless truncation
-            still loses something.
+        patience: number of refinements in which the gap must at least halve, unless truncation is
+            still a part of the gap.
     """
     gaps = list[float]()
     while True:

@@ -6,9 +6,9 @@ Both are searches over thresholds; each trial minimises E[charge(total cost) | g
 least E[charge | goal] is the least Pr(C > B | goal), which falls as B grows. The answer is the
 least B at which it is at most 1 - level, with the policy of least Pr(C > B | goal). Prices of
 failure and of the other rows give a lower bound of that share for every B (by one sweep, if failure
-alone is limited), hence the greatest B that they refute. At the optimal prices this is the
-neighbour of the answer. The search alternates between the optimal prices at a B and the first B
-that these do not refute.
+alone is limited). They refute each B whose lower bound is above 1 - level. At the optimal prices
+the greatest refuted B is the neighbour of the answer. The search alternates between the optimal
+prices at a B and the first B that these do not refute.
 
 **The conditional value at risk.** For any policy it is the least over z of z + E[(C - z)^+ | goal]
 / share, share = 1 - level (Rockafellar and Uryasev 2000). The least is attained at the quantile,
@@ -102,8 +102,8 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
 
     Args:
         solution: of the problem.
-        evaluation: evaluation of its policy. The bound of a quantile is the policy's own value, or
-            below it.
+        evaluation: evaluation of its policy. The bound of a quantile is at most the policy's own
+            value.
     """
     problem, value, bound = solution.problem, evaluation.objective, 0.0
     question, risk = question_of(problem), _risk_of(problem)
@@ -142,7 +142,7 @@ class _Multiples:
 
 
 class _Sums:
-    """Sums of step costs of which the last leads into the goal. Mutable: computed as needed.
+    """Sums of step costs whose last step leads to the goal. Mutable: computed as needed.
 
     Raises:
         ModelError: too many sums are needed.
@@ -188,7 +188,7 @@ _AHEAD = 8.0  # exact thresholds need few sums up to this multiple of the typica
 _FINE = 500  # thresholds of a grid in a typical cost
 _NEARBY = 1e-2  # relative uncertainty of a price from another threshold
 _ROUNDING = 1e-14
-"""A budget this close above the least failure, relative to the goal, counts as equal to it."""
+"""Distance of a budget above the least failure, relative to the goal, that counts as 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -503,7 +503,8 @@ def _beyond_refuted(question: _Question, refuted: int) -> float:
 def _late_share(level: float) -> float:
     """Return the share of the successes that may lie beyond the quantile, with its tolerance.
 
-    It is below 1 at every level: some success must lie within, by more than rounding.
+    It is below 1 at every level, since some success must lie within the quantile, by more than
+    rounding.
     """
     return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
 

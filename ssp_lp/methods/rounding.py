@@ -13,8 +13,8 @@ policy of the true model is better than the best one of this model (mathematics,
 totals are layers of a lattice.
 
 A lattice of many totals is first solved with a coarser unit, usually the unit of most costs. If the
-split costs hardly matter, both bounds meet at once, and the search on all totals is not needed;
-otherwise it starts at the price found.
+few costs that are split hardly matter, both bounds meet at once. Otherwise the search on all totals
+follows and starts at the price found.
 
 **Rounded costs, criteria of the law of the total cost.** With every cost rounded down to a multiple
 of a unit, a model has a lattice of totals. As charges do not fall as the total grows, its optimum
@@ -211,8 +211,9 @@ def _lattice_attempts(
 def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove a bound by split or rounded costs, from the model alone.
 
-    Units get smaller until the gap is that of the solution, whose claim serves for nothing else, or
-    the tolerance; with split costs also until a smaller unit adds almost nothing to the bound.
+    Units get smaller until the gap is as small as the solution states (this number is used for
+    nothing else) or as the tolerance. With split costs they also end when a smaller unit adds
+    almost nothing to the bound.
 
     Args:
         solution: of a problem with split or rounded costs.
@@ -263,8 +264,8 @@ def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
 def _true_columns(problem: Problem, outcome: Optimum[Any]) -> list[Column]:
     """Evaluate, on the true model, the policies that were found with split costs.
 
-    The columns returned lie on both sides of the budget. A policy that satisfies the budget with
-    split costs may violate it on the true model, and vice versa: then nearby prices are tried.
+    The returned columns lie on both sides of the budget. A policy that satisfies the budget with
+    split costs may violate it on the true model, and vice versa. Then nearby prices are tried.
 
     Raises:
         Stop: the time limit was reached before a policy within the budget was evaluated.
@@ -411,9 +412,9 @@ def coarser_unit(problem: Problem) -> tuple[Fraction, bool] | None:
 def is_split(problem: Problem, seconds: float = np.inf) -> bool:
     """Return whether the costs of a problem must be split.
 
-    They are split in case S with a limit on failure alone, if no step is far more expensive than
-    the others, and if the sums of costs are too many for exact layers, or are known to take longer
-    than the time left.
+    They are split in case S with a limit on failure alone, under two conditions: no step is far
+    more expensive than the others; and the sums of costs are too many for exact layers, or are
+    known to take longer than the time left.
 
     Args:
         problem: the problem.
@@ -645,7 +646,7 @@ def lattice_bound(
 def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     """Return a policy of the model with rounded costs as a policy of the model itself.
 
-    A policy without memory gets one layer, so that its law is rounded in the same way.
+    A policy without memory gets one layer, so that its costs are rounded in the same way.
 
     Raises:
         ModelError: its memory is not the cost paid.

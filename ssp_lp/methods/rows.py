@@ -5,8 +5,9 @@ program is solved first, its duals are the first prices. A cost given success is
 Dinkelbach's iteration: at the optimum the least ``cost + ratio * failure`` equals the ratio.
 
 If accumulated cost is truncated at a cap, the process gives a lower bound and the policy's own
-value an upper bound. If the first cap is a guess, the prices of a rough search give the cap that
-loses nothing; its lottery is carried over to higher caps until both bounds meet.
+value an upper bound. If the first cap is a guess, a rough search gives prices, and these give the
+cap at which nothing is lost. The lottery of a search is used again at higher caps until both bounds
+meet.
 
 On a grid of totals the process gives a lower bound for every policy. Its policies remember the
 rounded total; they are evaluated with the true costs, and the lottery is chosen by these numbers,
@@ -87,7 +88,7 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
         options: method, tolerance and limits.
 
     Returns:
-        The solution; its objective is infinite if the time sufficed for a bound alone.
+        The solution; its objective is infinite if there was only time for a bound.
 
     Raises:
         InfeasibleError: no policy satisfies the failure budget and the limits; it names an
@@ -143,7 +144,7 @@ def _may_be_rarer(
 
 
 def is_rarely_reached(stated: CompiledExplicit, goal: float) -> bool:
-    """Return whether success is so rare within the rows that the goal must be the reward.
+    """Return whether success is so rare that the goal must be counted instead of failure.
 
     Args:
         stated: the problem.
@@ -217,8 +218,8 @@ def _rows_attempt(
 ) -> Optimum[CompiledExplicit]:
     """Return the optimum of one search within the rows, with a certified bound.
 
-    The bound is proved at the final prices. A trial ends at a coarse gap, and without a bound
-    unless there is a time limit.
+    The bound is proved at the final prices. A trial ends at a coarse gap, and has a bound only if
+    there is a time limit.
 
     Args:
         stated: the problem.
@@ -316,7 +317,7 @@ def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
 def _granted(
     compiled: CompiledExplicit, rows: Rows, finished: bool
 ) -> tuple[dict[str, float], str]:
-    """Return bounds that were raised to the attainable value, by name, and the notes on a search.
+    """Return the bounds that were raised to the attainable value, by name, and notes on a search.
 
     Args:
         compiled: the problem.
@@ -352,7 +353,7 @@ def best_lottery(compiled: CompiledExplicit, opened: Master, options: SolveOptio
 
     Raises:
         InfeasibleError: case S, and no policy within the limits reaches the goal.
-        SolverError: the same, but the time limit was reached first.
+        SolverError: the time limit was reached before such a policy was found.
     """
     generated = generate(opened, options)
     if not np.isfinite(generated.objective):
@@ -406,7 +407,7 @@ def true_lottery(
 
 
 def _luck(compiled: CompiledExplicit) -> float:
-    """Return the most goal probability that a policy may gain by the tolerance of a limit."""
+    """Return the greatest goal probability that a policy may gain by the tolerance of a limit."""
     is_told = compiled.by_goal or not compiled.ratio or compiled.limits_failure
     return 0.0 if is_told else _LUCK * compiled.greatest_goal
 
@@ -714,7 +715,7 @@ def rows_bound(
     prove: Callable[[FloatArray], Proof],
     least_goal: float | None = None,
 ) -> tuple[float, Proof]:
-    """Return the best lower bound of the objective that proofs at the prices give, and its proof.
+    """Return the best lower bound of the objective by proofs at the prices, and its proof.
 
     If ``cost - ratio * goal >= D`` for every lottery within the rows, the cost given success is at
     least ``ratio + D / goal``. Two ratios are tried: ``rows.ratio``, and one just below it.
@@ -768,8 +769,8 @@ def _excess_over_paid(
 def least_goal_within(compiled: CompiledExplicit, rows: Rows) -> float:
     """Return a certified lower bound of the goal probability of lotteries within the rows.
 
-    A search of its own minimises the goal probability within all rows together, which may imply
-    more than each row alone. It needs no accumulated cost.
+    A separate search minimises the goal probability within all rows together. Together they may
+    imply a greater goal probability than each row alone. It needs no accumulated cost.
 
     Args:
         compiled: the problem, settled.
@@ -835,7 +836,7 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
     pricing = compiled.pricing()
 
     def prove(weights: FloatArray) -> Proof:
-        """Return the proof of the values at weights; without values, of a new pricing call."""
+        """Return the values' proof at weights; without values, the proof of a new pricing call."""
         if own_values is None:
             return pricing.prove(weights, pricing.minimise(weights))
         return pricing.check(weights, own_values)

@@ -4,10 +4,10 @@ A contraction makes each end component that is free at the prices one state.
 
 If some prices are 0, a process may have end components that cost nothing at the prices, although
 they add to a row of price 0. They are free in the pricing problem (mathematics, section 4): all
-states of such a component have the same value. A value function on the contraction therefore proves
-as much as one on the process, a policy on it is a policy on the process that moves to the chosen
-pair, and rounding has no cycle to improve along. No policy may stay in a component for ever: a
-contraction only removes pairs that stay.
+states of such a component have the same value. Therefore a value function on the contraction proves
+as much as one on the process. A policy on the contraction is a policy on the process that first
+moves to the chosen pair. Rounding cannot make a policy improve around a free cycle. A contraction
+only removes pairs that stay, and no policy may stay in a component for ever.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Contraction:
         return place[choice[order[first]]]
 
     def expanded(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
-        """Return the policy on the process that moves at no cost to the chosen pairs, [states].
+        """Return the policy on the process that moves, at no cost, to the chosen pairs, [states].
 
         Args:
             process: the process.
@@ -182,8 +182,8 @@ def bound_of(
 def least_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
     """Return the greatest constant v with ``exit_u v <= c_u`` for every pair u.
 
-    It is a sub-solution, at least 0 if no cost is negative. -inf: no constant is one, as a pair
-    without exit has a negative cost.
+    It is a sub-solution, at least 0 if no cost is negative. It is -inf if a pair without exit has a
+    negative cost, since then no constant is a sub-solution.
 
     Args:
         process: the process.
@@ -247,7 +247,7 @@ class PricedMinimum:
     excess: FloatArray  # [pairs] reduced costs
 
     def without_noise(self, visits: FloatArray) -> FloatArray:
-        """Return visits with those of suboptimal pairs set to 0, [pairs].
+        """Return the visits, with 0 for suboptimal pairs, [pairs].
 
         Interior-point solutions give small visits to every pair.
         """

@@ -46,7 +46,7 @@ class FailureLabelled:
         return self.process.cost
 
     def policy(self, choice: IntArray) -> DeterministicPolicy:
-        """Return the policy on the model of a choice in the process.
+        """Translate a choice in the process to a policy on the model.
 
         Args:
             choice: pair of the process, [states].
@@ -60,7 +60,7 @@ class FailureLabelled:
         The result is None if it must be found on the process itself (see ``Quotient.nearer``).
 
         Args:
-            safely: by pairs without risk of a dead-end, if these suffice.
+            safely: use only pairs without risk of a dead-end, if these suffice.
         """
         model = self.quotient.model
         nearer = self.quotient.nearer(goal_pairs(model))
@@ -71,7 +71,7 @@ class FailureLabelled:
         return None if nearer is None else self._with_source(nearer)
 
     def placed(self, decision: IntArray) -> IntArray | None:
-        """Return a policy of the model as a choice in the process, [states]; None: not possible.
+        """Translate a policy of the model to a choice in the process, [states]; None: not possible.
 
         Args:
             decision: pair of the model, negative for none, [model states].
@@ -107,8 +107,8 @@ def label_failure(
             only pairs from which the goal stays sure are kept.
         discount: None: real probabilities. A number scales every transition, and the mass lost in
             a non-goal state counts as failure (paper, section 3.5).
-        usable: pairs that may be used, [pairs]; with it a policy may not give up or wander: the
-            second stage of a least-failure problem (mathematics, section 4).
+        usable: pairs that may be used, [pairs]. If given, a policy may not give up or wander: this
+            is the second stage of a least-failure problem (mathematics, section 4).
         side: further limits.
         objective: a quantity minimised instead of the aim of the semantics.
         quotient: the live part of the model, with the pairs that give up; None: built here.

@@ -53,8 +53,8 @@ class GiveUp(enum.StrEnum):
     """States in which a policy of case M may give up (mathematics, section 2).
 
     ``ANYWHERE`` is the linear program of Trevizan et al. (2017); ``ATTENTION`` is the paper's
-    stopping time of section 2.4, which may only fall where the goal can be avoided for sure;
-    ``DEAD_ENDS`` pays until a dead-end is entered, as Storm does.
+    stopping time of section 2.4: a policy may stop only where the goal can be avoided for sure;
+    with ``DEAD_ENDS`` it pays until a dead-end is entered, as in Storm.
     """
 
     ANYWHERE = "anywhere"
@@ -246,7 +246,7 @@ def giving_up_states(model: SSP, give_up: GiveUp, usable: BoolArray | None = Non
     Args:
         model: the model.
         give_up: where a policy may give up.
-        usable: pairs that attain the least failure, [pairs]: with it only these may be used, and
+        usable: pairs that attain the least failure, [pairs]. If given, only these may be used, and
             giving up is allowed only in states without a usable pair.
     """
     if (label := model.failure_label) is not None:
@@ -290,8 +290,8 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
 class GoalShare(float):
     """A failure budget that follows from a demanded goal probability.
 
-    If the demanded probability is rare, the budget is rounded to 1; :func:`demanded_goal` returns
-    the exact demand.
+    If the demanded probability is very small, the budget is rounded to 1; :func:`demanded_goal`
+    returns it exactly.
     """
 
     demanded: float
@@ -308,14 +308,14 @@ class GoalShare(float):
 
 
 def demanded_goal(budget: float) -> float:
-    """Return the goal probability that a budget demands; without rounding for a share."""
+    """Return the goal probability that a budget demands, exactly if it is a ``GoalShare``."""
     return budget.demanded if isinstance(budget, GoalShare) else 1.0 - budget
 
 
 RARE_GOAL = 1e-3
 """Demanded goal probability below which the goal replaces failure in the rewards.
 
-For larger goal probabilities 1 - failure has 13 correct digits; and failure may be rare itself.
+For larger goal probabilities 1 - failure has 13 correct digits, and failure itself may be rare.
 """
 
 
@@ -424,7 +424,7 @@ class Counting:
     """Coefficients of costs, arrivals and ends at the pairs of a process, and at its source.
 
     Start mass on goals and dead-ends enters through the source (``failure_label.with_start``). The
-    second number of every result is the coefficient there.
+    second number of every result is the coefficient at the source.
     """
 
     quotient: Quotient
@@ -436,7 +436,7 @@ class Counting:
     survival: float  # the discount, 1 in the exact setting
 
     def cost(self, model: SSP) -> tuple[FloatArray, float]:
-        """Return a secondary cost, charged at failing as the model's own cost is, [pairs].
+        """Return a secondary cost, with charges of failing like the model's own cost, [pairs].
 
         Args:
             model: the model with the secondary cost as its cost.
@@ -455,7 +455,7 @@ class Counting:
         return self.goal + self.failure, float(self.start[self.quotient.node_of < 0].sum())
 
     def other_endings(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Return the mass that ends other than in some final states, [pairs], and at the start."""
+        """Return the mass that ends outside some final states, [pairs], and at the start."""
         if (states == self.quotient.model.goal_mask).all():
             return self.failure, float(self.start[self.quotient.dead].sum())
         (every, at_once), (into, there) = self.endings(), self.arrivals(states)

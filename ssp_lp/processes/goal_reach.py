@@ -77,15 +77,15 @@ def greatest_goal_reach(
 ) -> GoalReach:
     """Solve MAXPROB: the greatest E[survival^T; goal] from every state.
 
-    The graph decides from which states the goal can be reached surely, and from which never. If it
-    decides all states of the start, nothing else is computed: the goal probability of all states
-    without sure success is then reported as 0.
+    The graph shows from which states the goal can be reached surely, and from which never. If this
+    settles all states of the start, nothing else is computed, and all states without sure success
+    get the goal probability 0.
 
     Args:
         model: the model.
         survival: the discount; 1 for probabilities.
         start: only states with positive entries are needed, [states]; None: every state.
-        last_digits: whether all pairs that attain it are needed; else one policy and a bound.
+        last_digits: find all pairs that attain it; otherwise one policy and a bound suffice.
     """
     exact, setting = survival == 1.0, (survival, start, last_digits)
     if exact:
@@ -197,9 +197,10 @@ def _extreme_reach(
 def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
     """Return the policy of least E[cost; goal] among those of extreme goal probability.
 
-    A transition to x' costs g * reach(x'), with reach one step early under discounting, so that the
-    second stage is an ordinary problem without accumulated cost (paper, S3P; mathematics, section
-    4). Free end components are collapsed: a policy must leave them.
+    A transition of cost g to x' costs g * reach(x'), under discounting with the factors from x' on,
+    so that the second stage is an ordinary problem without accumulated cost (paper, S3P;
+    mathematics,
+    section 4). Free end components are collapsed: a policy must leave them.
     """
     early = np.where(model.goal_mask, 0.0, reach.goal / survival)
     weight = np.where(model.goal_mask, 1.0, survival * early)

@@ -1,7 +1,7 @@
 """Sums over the outcomes of each pair: expectations, and the rows of a process.
 
-Neither makes large copies: expectations go through the outcomes piece by piece, and the rows of a
-process are the selected outcomes among live nodes.
+Both avoid large copies: expectations read the outcomes piece by piece, and the rows of a process
+are the selected outcomes among live nodes.
 """
 
 from __future__ import annotations
@@ -141,9 +141,9 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
     """Return the transition probabilities from the pair of each row to each node.
 
     With ``home``, rows are conditioned on departing from their node: self-loops are removed, and
-    all other entries are divided by the probability of departing. This is summed from the outcomes
-    that depart, never computed as 1 - p, which would cancel for slow loops. Rows that never depart
-    are not changed.
+    all other entries are divided by the probability of departing. This probability is a sum over
+    the outcomes that depart; 1 - p would lose digits in slow loops. Rows that never depart are not
+    changed.
 
     Args:
         rows: the rows.

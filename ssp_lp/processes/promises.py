@@ -41,7 +41,7 @@ class _Total(Followed):
     def automaton(self, model: SSP) -> Automaton:
         """Return the automaton of totals up to the bound, with one or two values beyond it.
 
-        With ``passes`` there are two: just passed, and passed before.
+        With ``passes`` there are two such values: just passed, and passed before.
 
         Raises:
             ModelError: an unknown name, a quantity that is not a total of costs and visits, or too
@@ -65,7 +65,7 @@ class _Total(Followed):
         over = totals.size
 
         def value_of(total: FloatArray) -> IntArray:
-            """Return the number of a total: that of an equal sum, or the one beyond."""
+            """Return the value for a total: an equal sum, or the value beyond the bound."""
             nearest = np.searchsorted(totals, total - room)
             return np.where(total > bound + room, over, nearest)
 
@@ -93,7 +93,7 @@ def within(quantity: Quantity, bound: float) -> Quantity:
     """Return the quantity "probability of reaching the goal with a total of at most a bound".
 
     All other runs break the promise: with a larger total, by failing, giving up or wandering. The
-    total counts from the start, a visit there included, to the step onto the goal.
+    total is counted from the start, which counts as a visit, to the step onto the goal.
 
     Args:
         quantity: costs and visits that a run adds up, such as ``secondary_cost("fuel")``.

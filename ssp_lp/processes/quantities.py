@@ -81,7 +81,7 @@ class _Ends:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _ArrivalCosts:
-    """A charge at the goal: a function of the total cost that is affine in the end."""
+    """A charge at the goal: a function of the total cost that is affine from some total on."""
 
     function: Callable[[FloatArray], FloatArray]
     affine_from: float
@@ -275,9 +275,9 @@ def end_probability(*ways: Hashable) -> Quantity:
     """Return the quantity "probability that an episode ends in one of some ways".
 
     Failing ends the cost, not the run: from a dead-end with actions, and from a state where the
-    policy gave up, the run continues to its true end (mathematics, section 2). This is the goal,
-    the first dead-end with one of the names used in the problem, or else the place where the run
-    can go no further.
+    policy gave up, the run continues to its true end (mathematics, section 2). The true end is the
+    goal, the first dead-end with one of the names used in the problem, or else the place where the
+    run can go no further.
 
     Args:
         ways: "goal", a label of dead-ends, "dead_end" (without a label), as in the ``ends`` of
@@ -305,7 +305,7 @@ def arrival_cost(
 ) -> Quantity:
     """Return the quantity "charge of the total cost at the goal", to minimise given success.
 
-    As the ``quantity`` of a user's criterion with ``ratio = True`` it is E[f(C) | goal], such as
+    As the ``quantity`` of your own criterion with ``ratio = True`` it means E[f(C) | goal], such as
     the mean lateness ``arrival_cost(lambda c: np.maximum(c - due, 0.0), affine_from=due)``.
     Several can be added and scaled. A function of the total cost of a run cannot be a row of a
     program: it cannot be limited, nor added to other quantities.
@@ -571,7 +571,7 @@ def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]
 
 
 def beyond_exploring(constraint: Constraint) -> str | None:
-    """Return the reason why no explored part of a model bounds a quantity, or None."""
+    """Return the reason why exploration cannot bound a quantity, or None."""
     for _, counted in constraint.quantity.terms:
         match counted:
             case _StageCosts(_, True) | _Visits(_, True):

@@ -1,7 +1,7 @@
 """The MEC quotient of a model: live states (neither goals nor dead-ends), grouped into nodes.
 
 A node is one live state, or a maximal end component of pairs that cost nothing. Moves inside such a
-component are free, so that an exact process treats it as one state (mathematics, section 4).
+component are free, so a process without a discount treats it as one state (mathematics, section 4).
 
 Visits of the quotient are mapped back to the pairs of the model. Flow that enters a component at
 one member may leave it at another, and the moves between them must be stated. Flow goes to each
@@ -194,7 +194,7 @@ class Quotient:
         return places
 
     def pull_back(self, choice: IntArray) -> IntArray:
-        """Return decisions on states from one chosen pair per node.
+        """Translate one chosen pair per node to decisions on states.
 
         Inside a component the other members move, at no cost, to the member of the chosen pair.
 
@@ -233,10 +233,10 @@ def build_quotient(
     Args:
         usable: pairs of the model that may be used, [model pairs]; None: all.
         free: usable pairs that cost nothing; their end components are collapsed. None: no
-            collapsing (discounted processes leak mass everywhere and need none).
+            collapsing (discounted processes lose mass everywhere and need no collapsing).
         exits: states in which giving up is allowed, [states].
-        free_exits: also allow giving up, that is staying for ever, in all collapsed components;
-            otherwise only in those from which the goal cannot be reached.
+        free_exits: also allow giving up (staying for ever) in all collapsed components; otherwise
+            only in the components from which the goal cannot be reached.
         ended: further states at which the process ends, [states].
     """
     dead = dead_ends(model)
@@ -390,7 +390,7 @@ def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
 
 
 def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> ModelFlow:
-    """Return the flow with the moves within components, and giving up shared by members.
+    """Return the flow including moves within components; members share the giving up.
 
     Args:
         quotient: the live part of the model.
@@ -456,7 +456,7 @@ def _flow_of_moves(
 def decisions(
     quotient: Quotient, flow: ModelFlow, otherwise: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return the decisions of a flow, and a given decision with flow 1 where there is no flow.
+    """Return the decisions of a flow; a state without flow gets a given decision with flow 1.
 
     Args:
         quotient: the live part of the model.
