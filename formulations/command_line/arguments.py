@@ -278,7 +278,7 @@ _TABLE: Options = {
 _ALONE: Options = {
     "--version": {"action": _Version, "nargs": 0, "help": "print the version and exit"},
     "--print-completion": _taken(
-        "print what makes bash, zsh or tcsh complete the command", "SHELL", action=_Completion,
+        "print the completion script for bash, zsh or tcsh", "SHELL", action=_Completion,
         choices=[*_FILES],
     ),
 }  # fmt: skip

@@ -445,7 +445,7 @@ class Arrivals:
         return np.asarray(self._waiting[rows * self._size + self._powers.node])
 
     def _ahead(self, layer: int) -> tuple[float, FloatArray]:
-        """Return the mass that arrives between the settled layers and a later one, and the rest."""
+        """Return the mass arriving between the settled layers and a later layer, and the rest."""
         return self._powers.after(self._here(), layer - self.settled)
 
     def _to_next(self) -> int | None:

@@ -352,7 +352,7 @@ class ExponentialUtility(Reward):
 
 @dataclass(frozen=True)
 class ExpectedArrivalCost(Charge, Measure):
-    """E[f(total cost) | goal], minimised: f is non-negative, non-decreasing, affine in the end."""
+    """E[f(total cost) | goal], minimised; f >= 0 never falls and is affine from some total on."""
 
     function: Utility
     affine_from: float = 0.0

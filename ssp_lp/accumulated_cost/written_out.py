@@ -2,10 +2,10 @@
 
 :func:`materialise` ends with the tails of a layered process. :class:`OpenEnded` has one last layer
 for all costs beyond the cap, with free choice of the policy. An arrival from it is charged as if
-the cap had just been reached, and each step there costs its least cost to runs that succeed. This
-is too little, so that the optimum is a lower bound; everything else (failure, visits, secondary
-costs, ends) is exact. Every policy of this process is a policy of the model, so that its true
-objective is an upper bound, and both meet as the cap grows (paper, section 3.5, with a free tail).
+the cap had just been reached, and each step there costs its least cost to runs that succeed. These
+charges are too low, so the optimum is a lower bound. All other numbers (failure, visits, secondary
+costs, ends) are exact. Every policy of this process is a policy of the model, so its true objective
+is an upper bound. Both bounds meet as the cap grows (paper, section 3.5, with a free tail).
 """
 
 from __future__ import annotations
@@ -307,8 +307,8 @@ class OpenEnded(ChargedLayers):
     def leads(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the layer that steps lead to, and the share of the next one, [layers, kinds].
 
-        On a grid a step is rounded down, which does not raise a charge. If interpolation does not
-        raise the charge either, the step leads to both neighbours of its total.
+        On a grid a step is rounded down, which never raises a charge. If interpolation never raises
+        it either, the step leads to both neighbours of its total.
         """
         below, share = self.totals.leads_by(kinds)
         return below, share if self.charge.is_concave else np.zeros_like(share)

@@ -567,7 +567,7 @@ class CompiledLayered(CompiledProblem):
         return replace(self, cap=end)
 
     def least_failure(self) -> LeastFailure:
-        """Return the policy of least charge among those of least failure; it may remember the cost.
+        """Return the policy of least charge with least failure; it may remember the cost.
 
         For the mean of the total cost nothing must be remembered: a transition to x' is priced
         ``g * Pmax(x')`` (mathematics, section 4).

@@ -28,7 +28,7 @@ _CLOSING = 0.65
 """Seconds beyond the deadline in which the answer is completed: evaluation and proof."""
 
 READING = 10.0
-"""Seconds that an attribute may take which is computed when it is read."""
+"""Seconds allowed for an attribute that is computed when it is read."""
 
 _LEAST = 0.1  # least seconds for completing an answer
 _PREPARED = 1.0  # seconds of a search after which an incumbent must exist

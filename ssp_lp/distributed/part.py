@@ -1,9 +1,9 @@
 """A rank's part of a model: the pairs of its own states, and the states to which these lead.
 
-A part acts as a model in everything that concerns single pairs: expected costs, successors,
-coefficients of a limit. Its states are those that the rank knows: its own, then the ghosts, which
-have no pairs here. Their labels are their numbers in the model. All ranks compute facts about the
-whole graph together, and each part stores them.
+A part acts as a model for everything that concerns single pairs: expected costs, successors,
+coefficients of a limit. Its states are the states that the rank knows: its own states, then the
+ghosts (states of other ranks), which have no pairs here. Their labels are their numbers in the
+model. All ranks compute facts about the whole graph together, and each part stores them.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ class _OwnDecisions(Policy):
     figures: FloatArray  # [rewards] totals of the policy
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Refuse: a rank has the decisions of its own states only.
+        """Raise an error, since a rank has only the decisions of its own states.
 
         Raises:
             ModelError: always.

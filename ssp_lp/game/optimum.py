@@ -113,8 +113,8 @@ def find_threshold(
         player: finds best responses.
         budget: epsilon.
         share: 1 in case M, 1 - epsilon in case S.
-        previous: responses found before, ``extremes`` at least. A budget that all of them exceed
-            differs from the least failure by rounding, and counts as equal to it.
+        previous: responses found before, ``extremes`` at least. If all of them exceed the budget,
+            it differs from the least failure by rounding and counts as equal.
         room: the budget counted from the responses' origin, if it has more digits.
         tolerance: relative width of the bracket to reach.
         progress: called after each game with (responses, price of failure, upper end).

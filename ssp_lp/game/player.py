@@ -102,7 +102,8 @@ class BestResponse:
     """A deterministic policy that minimises a weighted sum of the game's two costs.
 
     If the goal is hardly ever reached, J_cond is 1 to rounding. It is then counted from ``origin``
-    1: J_cond - 1 is minus the success, which is summed separately and loses no digits.
+    = 1: the number J_cond - 1 is minus the success, which is summed separately and keeps its
+    digits.
     """
 
     objective: float  # J_obj(x'; pi), exact for the policy
@@ -165,7 +166,7 @@ def iterate_values(
     The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The exact value of the greedy
     policy, after policy iteration from it, is an upper bound of the optimum. The iterate is a lower
     bound once a backup with its rounding has confirmed it. It is also raised to the policy's value,
-    lowered as far as that backup requires, so that slow cycles do not delay convergence. The
+    less the amount that the backup requires, so that slow cycles do not delay convergence. The
     iteration ends when the two bounds agree at the start, or when rounding keeps them from
     agreeing.
 
@@ -255,7 +256,7 @@ def label_process(
 
 
 class _Strategy(NamedTuple):
-    """A decision for each (time, layer, node); the last time's decisions apply ever after."""
+    """A decision for each (time, layer, node); the last decisions also apply at all later times."""
 
     choice: IntArray  # [times, layers, nodes] position among the pairs of the node
     totals: Totals  # accumulated costs of the layers

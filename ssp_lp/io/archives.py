@@ -520,7 +520,7 @@ class _PolicyRecords:
 
 
 _ROUNDING = 1e-9
-"""Relative difference within which budgets are equal that follow from a recomputed share."""
+"""Relative difference up to which budgets that were recomputed from a share count as equal."""
 
 
 @explained
@@ -557,7 +557,7 @@ def save_solution(solution: Solution, path: FilePath) -> None:
 
 @explained
 def load_solution(path: FilePath, problem: Problem) -> Solution:
-    """Read a solution from its archive; ``certify`` accepts it as it does the saved one.
+    """Read a solution from its archive; ``certify`` accepts it like the saved solution.
 
     Args:
         path: a file of :func:`save_solution`.

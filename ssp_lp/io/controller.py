@@ -360,7 +360,7 @@ def _number_after(
 
 
 def _layer_or_tail(memory: dict[str, Any], layer: int, reached: float, state: int) -> int:
-    """Return a layer below the cap, else the number of a tail: the last from the threshold on."""
+    """Return a layer below the cap, else a tail's number: the last tail from the threshold on."""
     threshold, cap = memory["threshold"][state], int(memory["cap"])
     if layer < cap:
         return layer

@@ -161,8 +161,8 @@ def from_gymnasium(
     """Build the model of an environment from its table of transitions or, without one, on a grid.
 
     States in which the environment terminates are goals if every step into them is rewarded, and
-    dead-ends if none is. A state in which it terminates after one step and goes on after another
-    (as in Taxi's table) has a separate end, ("end", state).
+    dead-ends if none is. If the environment terminates in a state after one step and continues
+    after another (as in Taxi's table), the state has a separate end, ("end", state).
 
     Args:
         env: an environment with ``env.unwrapped.P[state][action]``, a list of (probability, next
@@ -287,8 +287,8 @@ def continuous_from_gymnasium(
     Args:
         env: an environment with discrete actions, which is stepped: do not use it elsewhere.
         grid: a box of the coordinates, an axis for each, and its cells.
-        goal: predicate on the coordinates in which the environment terminates: whether that is
-            success; otherwise it is the dead-end "failed".
+        goal: predicate on coordinates in which the environment terminates: True means success,
+            False the dead-end "failed".
         cost: ``(point, action, next point, reward) -> cost``; None: 1 for each step.
 
     Raises:

@@ -39,7 +39,7 @@ def from_matrices(
         goal: indices of the goal states.
         costs: [states], [states, actions], or [actions] matrices [states, states]; either costs
             or rewards.
-        rewards: likewise, none positive: minus the costs.
+        rewards: minus the costs, in one of the same shapes; none may be positive.
         actions: [actions] names; None: their positions.
         state_labels: names for sets of states, as in ``SSP.from_transitions``.
         dead_ends: states from which no action reaches the goal, labels of them, or a predicate.

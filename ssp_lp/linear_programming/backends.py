@@ -42,7 +42,7 @@ told.close()
 """
 _DOUBTFUL = 1e-7  # relative doubt in the objective from which on another backend is tried
 _CLARABEL = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-9)
-"""Tolerances below Clarabel's own, as rows of a process that is hardly left amplify violations."""
+"""Tolerances below Clarabel's own, because long runs amplify violations of rows."""
 
 _REMEDY = "column generation needs no LP solver"
 

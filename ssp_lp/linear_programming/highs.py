@@ -88,8 +88,8 @@ def _solved_by_highs(
 ) -> highspy.Highs:
     """Solve a program by HiGHS, from a basis if given, and return the solver.
 
-    After a doubtful answer the program is solved again without presolve, with which HiGHS 1.15
-    calls some feasible programs infeasible.
+    After a doubtful answer the program is solved again without presolve, because with presolve
+    HiGHS 1.15 calls some feasible programs infeasible.
     """
     options: HighsOptions = {
         "solver": backend.removeprefix("highs-"),
@@ -145,8 +145,8 @@ def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:
 def run_highs(solver: highspy.Highs) -> None:
     """Run HiGHS in another thread, so that Ctrl-C ends it.
 
-    If it ran before in this process, for example by cvxpy, it runs on as many threads as then, as
-    HiGHS refuses any other number.
+    If HiGHS ran before in this process, for example by cvxpy, it runs on the same number of threads
+    again, since it refuses any other number.
 
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed.

@@ -96,9 +96,9 @@ def check_bounds(bounds: Mapping[str, object]) -> None:
 def answer_faults(program: LinearProgram, answer: LPAnswer) -> tuple[float, float]:
     """Measure how far an answer violates a program, and the possible effect on the objective.
 
-    If a process is left with probability 1e-6 a step, the violation of a row counts a million
-    times. The effect on the objective is a violation times its dual, or a negative reduced cost
-    times the visits.
+    If runs end with probability 1e-6 a step, the violation of a row counts a million times. The
+    effect on the objective is a violation times its dual, or a negative reduced cost times the
+    visits.
 
     Returns:
         The largest of three residuals: violation of a row or of x >= 0, negative reduced cost, and

@@ -100,9 +100,9 @@ def plot_frontier(
 
     Args:
         frontier: result of ``trace_frontier``.
-        budget: budget to mark with its value, and with the tangent, whose slope is that of the
-            optimum in the budget: minus the failure price in case M; both tangents at a turning
-            point. Where the frontier is not settled, it has its bounds and no tangent.
+        budget: budget to mark with its value and the tangent. The slope of the tangent is the
+            derivative of the optimum by the budget (minus the failure price in case M). A turning
+            point has two tangents. Where the frontier is not settled, bounds replace the tangent.
         ax: where to draw; None: a new figure.
         label: label of the line; None: its gap.
         look: style of the line, 0 .. 4, to distinguish several.
@@ -301,8 +301,8 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
     """Plot the law of the total cost given success, its quantile and tail mean.
 
     A bar is the probability of one cost or, if there are too many, of an interval of costs. The
-    most expensive share of ``1 - level`` is hatched: its mean is the conditional value at risk, and
-    the bar at the quantile belongs to it in part. At most a thousandth of the successes costs more
+    most expensive share of ``1 - level`` is hatched. Its mean is the conditional value at risk. It
+    contains a part of the bar at the quantile. At most a thousandth of the successes costs more
     than the last bar.
 
     Args:
@@ -397,8 +397,8 @@ def plot_tornado(
 def plot_parameter(solutions: Iterable[object], name: str, *, ax: Axes | None = None) -> Axes:
     """Draw the optimum as a function of a parameter of the model, with its slope at each point.
 
-    The slopes are those of ``solution.what_if()``; where the one to the left and the one to the
-    right differ there is a kink. Errors among the answers, such as infeasible problems, are left
+    The slopes are the derivatives of ``solution.what_if()``. If the left and the right slope
+    differ, there is a kink. Errors among the answers, such as infeasible problems, are left
     out.
 
     Args:

@@ -1,9 +1,9 @@
 """Exploration: a problem on an implicit model is solved on a sequence of growing explored parts.
 
 Each part is an ordinary model whose optimum bounds the whole model's
-(:mod:`ssp_lp.model.implicit`). A round solves the part again and expands the states in doubt: those
-on which its lottery, or the lottery's permission to fail, depends. The last lottery depends on
-none.
+(:mod:`ssp_lp.model.implicit`). A round solves the part and expands the states in doubt: the
+unexpanded states on which its lottery, or the lottery's permission to fail, depends. Rounds end
+when there are no such states.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 A policy is improved against nature, which chooses the worst probabilities in the boxes for it
 (policy iteration of Hoffman and Karp, Management Science 12, 1966; Iyengar, Mathematics of
-Operations Research 30, 2005). At the optimum nature has one answer to all policies: the problem at
-those probabilities is an ordinary one, whose certified bound holds for the robust optimum, too,
-since no policy is better against all of the boxes than against one point in them.
+Operations Research 30, 2005). At the optimum one choice of probabilities is the worst for all
+policies. The problem at these probabilities is an ordinary one. Its certified bound also holds for
+the robust optimum, since the worst case over the boxes is at least as bad as one point in them.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
         time_limit: seconds.
 
     Returns:
-        The robust policy, as the solution of the problem at (or just beside) the worst
-        probabilities, which are those of the solution's model. ``objective`` is the policy's worst
+        The robust policy, as the solution of the problem at (or near) the worst probabilities. The
+        solution's model has these probabilities. ``objective`` is the policy's worst
         value over the boxes, and the bound holds for every policy's worst value.
 
     Raises:
@@ -129,11 +129,11 @@ def at_probabilities(problem: Any, probabilities: FloatArray) -> Any:
 def solved_at(
     problem: Any, boxes: Boxes, worst: FloatArray, solve: Callable[[Any], Solution]
 ) -> Solution:
-    """Solve a problem at nature's probabilities, whose bound holds against all of the boxes.
+    """Solve a problem at nature's probabilities; the bound also holds for the whole boxes.
 
-    Probabilities of 0 may add dead-ends and attention states, where failing then costs less than
-    against the boxes. In that case the problem is also solved just beside, where every outcome of
-    the boxes is possible, and the solution of the greater bound is returned.
+    Probabilities of 0 may add dead-ends and attention states, in which failing then costs less than
+    the boxes allow. In that case the problem is also solved at nearby probabilities, at which every
+    outcome of the boxes is possible, and the solution with the greater bound is returned.
 
     Args:
         problem: the problem without ``box``.
@@ -179,8 +179,8 @@ def settled(
 ) -> tuple[FloatArray, IntArray, FloatArray, int]:
     """Find the decisions that are optimal at nature's worst probabilities, by policy iteration.
 
-    Decisions are changed for a strict gain only, so that a policy that surely ends is followed by
-    such a policy, and cycles of cost 0 are never entered.
+    Decisions are changed only for a strict gain. So each policy surely ends like the one before,
+    and cycles of cost 0 are never entered.
 
     Returns:
         Least worst loss of each state (cost and penalty, or the failure probability), infinite if
@@ -256,8 +256,9 @@ def ending(boxes: Boxes, semantics: FailureSemantics) -> tuple[IntArray, FloatAr
 def _losing(boxes: Boxes, ends: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
     """Return the states from which nature can prevent every policy from surely ending.
 
-    A state is kept if a pair of it may lead to an end, or to a state kept before, whatever nature
-    does. The other states are lost, pairs that may lead to them are removed, and so on in rounds.
+    A state is kept if one of its pairs may lead to an end, or to a state kept before, whatever
+    nature does. The other states are lost. Pairs that may lead to them are removed, and the next
+    round begins.
 
     Args:
         boxes: the boxes.

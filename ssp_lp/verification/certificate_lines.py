@@ -3,8 +3,8 @@
 With ``expand.py`` and ``prove.py`` beside it, this needs Python's standard library alone. A file is
 unpacked and read line by line: the question, a line for each state, and the proof of each program
 of the question. Least failure, or a share of the greatest goal probability, is proved first, and
-bounds the failure that the second program allows. A quantile B needs two programs as well: given
-success, the total exceeds B rarely enough under one lottery, and is at least B too often under all.
+bounds the failure that the second program allows. A quantile B also needs two programs. Given
+success, one lottery exceeds B rarely enough, and every lottery is at least B too often.
 """
 
 import gzip
@@ -41,7 +41,7 @@ Lines = Callable[[], Iterator[bytes]]  # lines of a file, from the first one at 
 
 
 def lines_of(path: Any) -> Lines:
-    """Return a reader of a file's lines, which refuses too many or too long ones for its size."""
+    """Return a reader of a file's lines; it refuses lines that are too many or too long."""
 
     def lines() -> Iterator[bytes]:
         """Yield the lines from the first one on."""
@@ -78,9 +78,9 @@ def read_question(lines: Iterator[bytes]) -> tuple[Question, str, Any]:
     for line in islice(lines, whole(question["states"], LARGE)):
         digest.update(line)
     is_alone = question["quantile"] is None or {**question, **ALONE} == question
-    need(is_alone, "a quantile is one of the total alone, given success, fails")
+    need(is_alone, "needed: a quantile is one of the total alone, given success")
     answer = read(next(lines), answer=object)["answer"]
-    need((answer is None) == (question["quantile"] is None), "an answer is a quantile, fails")
+    need((answer is None) == (question["quantile"] is None), "needed: an answer is a quantile")
     return question, digest.hexdigest(), answer
 
 
@@ -90,7 +90,7 @@ def read_state(line: bytes, question: Question) -> State:
     for name, outcomes, costs in stated["actions"]:
         weights, _ = in_parts([number(p) for p, _ in outcomes])
         total, place, means = sum(weights), (stated["name"], name), list[Fraction]()
-        need(min(weights, default=-1) >= 0 < total, "chances >= 0 of a sum > 0, fails at", *place)
+        need(min(weights, default=-1) >= 0 < total, "needed: chances >= 0 of a sum > 0 at", *place)
         need(type(costs) is list and len(costs) == question["costs"], "costs of", *place)
         first = [Fraction(0)] * len(weights)
         for j, cost in enumerate(costs):
@@ -103,7 +103,7 @@ def read_state(line: bytes, question: Question) -> State:
         each = zip(weights, outcomes, first, strict=True)
         moves = [(a, whole(y, question["states"]), t) for a, (_, y), t in each if a]
         actions.append(Action(name, total, moves, means))
-    need("goal" not in stated["sets"] or not actions, "a goal has no actions, fails")
+    need("goal" not in stated["sets"] or not actions, "needed: a goal has no actions")
     return State(stated["name"], stated["sets"], actions)
 
 
@@ -156,7 +156,7 @@ def stated(question: Question, step: str, answer: Any, done: dict[str, Bounds]) 
         failure = {"share": "1"} if failure == "least" else failure
         need(failure.keys() == {"share"}, "a share has one number")
         share = number(failure["share"])
-        need(0 <= share <= 1, "a share is a probability, fails")
+        need(0 <= share <= 1, "needed: a share is a probability")
         allowed = tuple(1 - share * (1 - max(end, Fraction(0))) for end in done["least"][:2])
     else:
         allowed = 2 * (number("1" if failure is None else failure),)
@@ -220,9 +220,9 @@ def check(lines: Lines, expected: str | None = None) -> tuple[Bounds, Question, 
     lower, upper, _ = bounds[-1]
     if question["quantile"] is not None:
         late = 1 - number(question["quantile"])
-        need(bounds[-2].upper <= late, "the lottery exceeds the quantile as rarely, fails")
+        need(bounds[-2].upper <= late, "needed: the lottery exceeds the quantile rarely enough")
         need(not exceeded, "a quantile jumps where the lottery exceeds row", *exceeded)
-        need(lower > late, "no lottery stays below the quantile as often, fails")
+        need(lower > late, "needed: no lottery stays below the quantile often enough")
         lower = upper = number(answer)
     lower, upper = (-upper, -lower) if question["greatest"] else (lower, upper)
     return Bounds(lower, upper, exceeded), question, digests

@@ -35,11 +35,11 @@ def certify(
     """Certify a solution: recompute objective and bound from model, policy, price and values.
 
     The objective and the failure come from an exact evaluation of the policy on the model; if the
-    distribution of its total cost needs too large a table, the objective is replaced by a bound
-    from mean and variance, which is never better. The lower bound comes from the price and the
-    value function alone: the value function is lowered until one backup, with rounding counted
-    against it, shows that it bounds the priced cost of every policy from below. A wrong policy,
-    price or value function is therefore refused or widens the gap.
+    distribution of its total cost needs too large a table, a bound by mean and variance, which is
+    never better, replaces the objective. The lower bound comes from the price and the
+    value function alone. The value function is lowered until one backup, less its rounding errors,
+    shows that it bounds the priced cost of every policy from below. So a wrong policy, price or
+    value function is refused or widens the gap.
 
     Args:
         solution: a solution of ``solve``, or one put together by hand.

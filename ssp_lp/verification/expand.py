@@ -119,7 +119,7 @@ class _Quantity:
         for text, kind, what in stated["terms"]:
             weight = sign * number(text)
             need(kind in ("cost", "visits", "end"), "no quantity is called", kind)
-            need(weight >= 0 or kind == "end", "costs and visits count >= 0, fails")
+            need(weight >= 0 or kind == "end", "needed: costs and visits count >= 0")
             if kind == "cost":
                 self.costs[whole(what, n_costs)] += weight
                 continue
@@ -158,10 +158,10 @@ class Program:
         self.live = every - self.dead - graph.goal
         self.attention = graph.staying(every - graph.goal, graph.every)
         self.discount = ONE if question["discount"] is None else number(question["discount"])
-        need(0 < self.discount <= 1, "a discount lies in (0, 1], fails")
+        need(0 < self.discount <= 1, "needed: a discount lies in (0, 1]")
         start = [(number(p), whole(x, n)) for p, x in question["start"]]
         total = sum((p for p, _ in start), ZERO)
-        need(min(start, default=(-1,))[0] >= 0 < total, "the start is a distribution, fails")
+        need(min(start, default=(-1,))[0] >= 0 < total, "needed: the start is a distribution")
         self.start = [(p / total, x) for p, x in start if p]
         self._ask()
         self._decide(question["give_up"])
@@ -196,7 +196,7 @@ class Program:
         self.each, self.rows = [self.objective, failing], [Row("failure", *question["failure"])]
         for row in question["rows"]:
             sign, side = (1, "at_most") if "at_most" in row else (-1, "at_least")
-            need(row.keys() == {"name", "quantity", side}, "a row has a name and one bound, fails")
+            need(row.keys() == {"name", "quantity", side}, "needed: a row has a name and one bound")
             need(row["name"] not in {one.name for one in self.rows}, "two rows are called alike")
             self.each.append(_Quantity(row["quantity"], sign, *known))
             bound = sign * number(row[side]) - self.each[-1].constant
@@ -224,7 +224,7 @@ class Program:
                 ]
                 self.live = graph.distances(self.keeps).keys() & last
             is_sure = all(x in self.live or x in graph.goal for _, x in self.start)
-            need(is_sure, "the goal can be reached surely, fails")
+            need(is_sure, "needed: the goal can be reached surely")
         self.charges = dict[int, list[Fraction]]()  # of failing in a state, for each cost
         fail = self.dead | self.giving_up if self.question["charge_failing_step"] else set[int]()
         where = every if give_up == "anywhere" else self.attention
@@ -245,10 +245,10 @@ class Program:
         self.steps: list[tuple[tuple[Fraction, int], Fraction, Fraction]] = steps
         starts = [at for at, _, _ in steps]
         is_function = starts == sorted({(ZERO, 0), *starts}) or not starts
-        need(is_function, "a charge begins at 0 and has one step after the other, fails")
+        need(is_function, "needed: a charge begins at 0 and has one step after the other")
         least, self.rise = (number(cap), steps[-1][2]) if starts else (ZERO, ZERO)
         need(least >= 0 and (len(starts) < 2 or starts[-1][0] < least), "the cap is too low")
-        need(self.rise >= 0, "the charge does not fall in the end, fails")
+        need(self.rise >= 0, "needed: the charge does not fall in the end")
         self.follows = {1 + n + x: 1 + x for x in range(n * (self.rise > 0))}
         self.size, self.unit, self.cap = 1 + n + len(self.follows), 1, 0
         self.model, self.place = list[State](), dict[tuple[int, int], int]()
@@ -272,7 +272,7 @@ class Program:
                     if y in self.live and r + t < self.cap and (r + t, y) not in met:
                         met.add((r + t, y))
                         queue.append((r + t, y))
-            need(len(met) <= self.lines, "each node below the cap has a line, fails")
+            need(len(met) <= self.lines, "needed: each node below the cap has a line")
         self.place = {(x, r): i for i, (r, x) in enumerate(sorted(met), self.size)}
         self.size += len(met)
 

@@ -6,9 +6,9 @@ the objective over x >= 0, one number for each column, such that at each node as
 enters, and each row is at most its bound. A bound is given as an interval [least, most] that
 contains it. Numbers of a proof are whole multiples of 1 / ``unit``.
 
-Lower bound: prices p >= 0, and a value v at some nodes, node 0 among them, from which columns lead
-to such nodes only. Every x has objective + sum p_k row_k >= v_0 (weak duality) if, for each column
-of theirs,
+Lower bound: the proof has prices p >= 0 and a value v at some nodes, node 0 included. The columns
+of these nodes lead only to these nodes. Every x has objective + sum p_k row_k >= v_0 (weak duality)
+if, for each of these columns,
 
     D v_i <= D (c_0 + sum p_k c_k) + sum a_j v_j.
 
@@ -155,9 +155,9 @@ def prove(
     """
     prices, members, unit = proof.prices, proof.members, Fraction(1, proof.unit)
     need(len(prices) == len(rows), len(prices), "prices of", len(rows), "rows")
-    need(min(prices) >= 0, "prices are >= 0, fails")
+    need(min(prices) >= 0, "needed: prices are >= 0")
     is_lottery = min(proof.weights, default=-1) >= 0 and sum(proof.weights) == 1
-    need(is_lottery, "weights are >= 0 and sum to 1, fails")
+    need(is_lottery, "needed: weights are >= 0 and sum to 1")
 
     @lru_cache(1 << 16)
     def priced(counts: Counts) -> Fraction:
@@ -167,8 +167,8 @@ def prove(
     for node, some in groupby(columns, key=lambda column: column.node):
         check_node(list(some), proof, priced)
         missing.discard(node)
-    need(not missing, "each node of the proof has columns, fails at", *sorted(missing)[:3])
-    need(0 in proof.v, "v is stated of the beginning, fails")
+    need(not missing, "each node of the proof has columns; none at", *sorted(missing)[:3])
+    need(0 in proof.v, "needed: v is stated of the beginning")
     for m, member in enumerate(members):
         need(0 in member.decision, "member", m, "begins, fails")
         for i, j in follows.items():
@@ -189,8 +189,8 @@ def prove(
     lower = constant + proof.v[0] * unit - price
     upper = constant + objective
     if proof.ratio is not None:
-        need(prices[0] >= proof.ratio, "price of failure >= ratio, fails")
-        need(lower >= proof.ratio * (1 - paid[0]), "objective >= ratio * goal probability, fails")
-        need(means[0] < 1, "the lottery reaches the goal, fails")
+        need(prices[0] >= proof.ratio, "needed: price of failure >= ratio")
+        need(lower >= proof.ratio * (1 - paid[0]), "needed: objective >= ratio * goal probability")
+        need(means[0] < 1, "needed: the lottery reaches the goal")
         lower, upper = proof.ratio, max(upper, upper / (1 - means[0]))
     return Bounds(lower, upper, exceeded)

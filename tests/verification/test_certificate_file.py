@@ -383,7 +383,7 @@ CHANGES = [
     ("a charge's slope", "given", QUESTION, _set("charge", 0, 3, to="2"), "v <= |u >= "),
     ("what totals add", "given", FIRST_STATE, _set("actions", 0, 2, 0, to="1"), "v <= |columns"),
     ("a ratio", "given", QUESTION, _set("ratio", to=False), "no line of"),
-    ("a level", "often", QUESTION, _set("quantile", to="0.99999"), "quantile as rarely"),
+    ("a level", "often", QUESTION, _set("quantile", to="0.99999"), "quantile rarely enough"),
     ("an answer", "often", ANSWER, _set("answer", to="3"), "v <= |u >= |quantile|columns"),
     ("an answer to another", "given", ANSWER, _set("answer", to="3"), "an answer is a quantile"),
     ("a bound", "budget", QUESTION, _set("failure", to="0.06"), "bound of row failure"),

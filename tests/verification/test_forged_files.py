@@ -224,7 +224,7 @@ FORGED = {
         [proof([0, "0", [0, 0, 2, "1" + 25 * "0", "1" + 24 * "0" + "1"]],
                [1, "0", [0, 0, 1, "1" + 25 * "0", "1" + 24 * "0" + "1"]],
                unit=10**25, ratio="0")],
-        {"ratio": True}, "the lottery reaches the goal, fails",
+        {"ratio": True}, "needed: the lottery reaches the goal",
     ),
     "a ratio at a failure of 1": (
         [CHOICE, GOAL, DEAD],
@@ -236,18 +236,18 @@ FORGED = {
         [STEP, GOAL],
         [proof(*([i, "-1", [0, 0, t, "-1", "0"]] for i, t in ((0, 2), (1, 1)))),
          *[arriving("1", "1", "3/2")] * 2],
-        {**HALF, "answer": "1/2", "failure": "least"}, "the lottery exceeds the quantile as rarely",
+        {**HALF, "answer": "1/2", "failure": "least"}, "exceeds the quantile rarely enough",
     ),
     "a quantile that the total stays below just as often": (
         [state(go=([["1", 1], ["1", 1]], [["1", "10"]])), GOAL],
         [arriving("0", "0", "11"),
          proof(*([i, "1", [0, 0, t, "1", "0"]] for i, t in ((0, 2), (3, 1))),
                unit=2, cap="11", prices=["1/2"], ratio="1/2")],
-        {**HALF, "answer": "10"}, "no lottery stays below the quantile as often",
+        {**HALF, "answer": "10"}, "no lottery stays below the quantile often enough",
     ),
     "a quantile that is above the truth": (
         [STEP, GOAL], [arriving("0", "0"), arriving("0", "0")], {**HALF, "answer": "3/2"},
-        "no lottery stays below the quantile as often",
+        "no lottery stays below the quantile often enough",
     ),
     "a quantile that a lottery attains by exceeding a row": (
         [state(fast=([["1", 1], ["1", 2]], ["1"]), slow=([["1", 1]], ["10"])), GOAL, DEAD],
@@ -329,7 +329,7 @@ NEITHER = [
     ([STEP, GOAL], {"start": [["1", 2]]}, "not a whole number below 2"),
     ([STEP, GOAL], {"give_up": "never"}, "give_up is never"),
     ([RISK, GOAL, DEAD], {"failure": "0", "start": [["1", 0], ["1", 1]]},
-     "the goal can be reached surely, fails"),
+     "needed: the goal can be reached surely"),
     ([STEP, GOAL], {"objective": {**COST, "square": True}}, "no quantity"),
     ([STEP, GOAL], {"rows": [{"name": "r", "quantity": [], "at_most": "1"}]}, "no quantity"),
     ([STEP, GOAL], {"objective": counting("1", "vists", "goal")}, "no quantity is called vists"),
@@ -445,7 +445,7 @@ def test_far_totals_are_no_work_for_a_small_file(tmp_path):
     """Of a loop that costs 1 below a cap of a billion."""
     loop, began = state(stay=([["1", 0]], ["1"]), go=([["1", 1]], ["1"])), process_time()
     reason = said(tmp_path / "x", [loop, GOAL], one_step(ratio="1", cap="1e9"), **TOTALS)
-    assert reason == "each node below the cap has a line, fails"
+    assert reason == "needed: each node below the cap has a line"
     assert process_time() - began < SECONDS
 
 

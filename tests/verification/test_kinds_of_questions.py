@@ -207,7 +207,7 @@ def test_the_least_change_of_a_model_is_another_question(folder):
         ("sure", "objective", [["-1", "cost", 0]], "costs and visits count >= 0"),
         ("sure", "objective", [["-1", "visits", "goal"]], "costs and visits count >= 0"),
         ("quantity", "objective", [["1", "end", "town"]], "not all states end|there is no set"),
-        ("thirds", "failure", "0", "the goal can be reached surely, fails"),
+        ("thirds", "failure", "0", "needed: the goal can be reached surely"),
         ("thirds", "failure", "least", "."),
         ("discount", "discount", "0", "a discount lies in"),
         ("discount", "discount", "1.01", "a discount lies in"),

@@ -128,7 +128,7 @@ def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int
     Args:
         source: name of the model in errors.
         names: of the reward models; "" for one without a name.
-        cost: the name; None: the only one; ``FIRST_COST``.
+        cost: the name; None: the only one; ``FIRST_COST``: the first one.
 
     Raises:
         ModelError: no reward model has this name, or there are several to choose from.
@@ -151,8 +151,8 @@ def costs_of_rewards(
 ) -> dict[str, Any]:
     """Return the fields ``costs`` and ``named_costs`` of a raw model.
 
-    The named costs are those of the reward models whose name belongs to only one of them. A reward
-    model without a name is "" among several; if it is the only one it has no name.
+    The named costs are the reward models with a unique name. A reward model without a name is
+    called "" if there are several; if it is the only one it has no name.
 
     Args:
         source: name of the model in errors.
