@@ -400,7 +400,7 @@ def check_boxed(problem: Problem, box: object) -> None:
     """Check that the robust optimum of a problem over boxes of probabilities can be computed.
 
     Raises:
-        ModelError: no boxes, or those of another model; constraints, a horizon or a discount;
+        ModelError: no boxes, or boxes of another model; constraints, a horizon or a discount;
             failing at dead-ends only, or charged by costs that depend on the successor.
     """
     name, semantics = type(problem).__name__, problem.semantics
@@ -459,7 +459,7 @@ def on_one_model(
     """Check that a policy and a problem share a model.
 
     Returns:
-        The policy as a lottery, and the problem as it is solved, both on the model of the latter:
+        The policy as a lottery, and the problem as it is solved, both on this problem's model:
         with a horizon the model of (state, steps taken).
 
     Raises:

@@ -2,8 +2,8 @@
 
 The part of the chains that can still reach the goal is followed through the layers of the costs'
 common unit. If that unit gives too many layers, the sums that occur are followed one by one, in
-increasing order. Sums are exact multiples of a unit, however small, as a float means its shortest
-decimal: equal sums are found by equal integers.
+increasing order. Sums are exact multiples of a unit, however small, because a float stands for its
+shortest decimal: equal sums are found by equal integers.
 
 A chain of few nodes that is rarely left may need millions of layers. The transition of one layer is
 a matrix on the places where mass can wait. Its powers of two lead to any layer, in as many products
@@ -280,7 +280,7 @@ class Arrivals:
 
         Args:
             live: the chain.
-            exact_costs: float cost -> the fraction that it means.
+            exact_costs: float cost -> the fraction that it stands for.
             unit: unit to whose multiples all costs are rounded up; None: their common unit.
         """
         paid = live.paid
@@ -568,7 +568,7 @@ class FollowedSums(Arrivals):
 
         Args:
             live: the chain.
-            exact_costs: float cost -> the fraction that it means.
+            exact_costs: float cost -> the fraction that it stands for.
             coarse: unit to whose multiples unlikely sums are rounded up.
             most: most sums that are followed exactly.
             rarest: share of the successes up to which the last of these sums counts as unlikely. By

@@ -5,7 +5,8 @@ is charged ``charge(c)``, and a run that fails is charged 0. The total cost itse
 step, a kink or a utility gives bounded reach, the conditional value at risk, or GUBS. A negative
 charge is a reward. Charges do not fall as the total cost grows.
 
-A measure is a number of the *law of success costs* of a policy: the sub-probability law of the
+A measure is a number that is computed from the *law of success costs* of a policy: the
+sub-probability law of the
 total cost C on the runs that reach the goal. Its missing mass is the failure probability.
 """
 
@@ -200,7 +201,7 @@ class ExcessCharge(Charge):
 
 
 class Measure(ABC):
-    """A number of the law of success costs."""
+    """A number computed from the law of success costs."""
 
     maximised: ClassVar[bool] = False  # whether it is maximised
     is_expectation: ClassVar[bool] = False  # whether one program is enough; else it needs a search

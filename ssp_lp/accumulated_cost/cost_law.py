@@ -85,8 +85,8 @@ class CostLaw:
     def within(self, bound: float | Fraction) -> float:
         """Return the distribution function: Pr(goal, C <= bound).
 
-        A float means its shortest decimal (three steps of 0.1 are within 0.3), or the multiple of
-        the unit of which it is the nearest float (2/3 for the unit 1/3); fractions are exact.
+        A float stands for its shortest decimal (three steps of 0.1 are within 0.3), or for the
+        multiple of the unit to which it is nearest (2/3 for the unit 1/3); fractions are exact.
         """
         if bound == inf:
             return self.goal
@@ -315,7 +315,7 @@ class CostLaw:
 
     @cached_property
     def _sums(self) -> FollowedSums:
-        """Arrivals at the sums of costs, with unlikely ones rounded up."""
+        """Arrivals at the sums of costs, with unlikely sums rounded up."""
         how = self._live, self._exact_costs, self._coarse_unit
         if (
             self._layers is not None and not self._layers.is_narrow
@@ -341,7 +341,7 @@ class CostLaw:
 
     @property
     def _exact_costs(self) -> Mapping[float, Fraction]:
-        """Map from float costs of the model to the fractions that they mean."""
+        """Map from float costs of the model to the fractions that they stand for."""
         return self._chains[0].model.exact_costs
 
     def __repr__(self) -> str:

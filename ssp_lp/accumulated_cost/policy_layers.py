@@ -2,7 +2,8 @@
 
 The mass of a policy is followed forwards together with the cost paid; only the layers that a step
 can reach are held. Below the cap this gives the value of the policy and the law of its total cost.
-Mass that reaches the cap continues by the policy's tails, whose chains are written out. Free steps
+Mass that reaches the cap continues by the policy's tails, whose chains are built explicitly. Free
+steps
 form a chain within each layer.
 
 If a policy never reaches the goal from a state, the goal can be avoided surely there, and the
@@ -230,7 +231,7 @@ class LayerMoves:
             yield layer, here, pairs, visits
 
     def is_soon_followed(self, least_nodes: int) -> bool:
-        """Return whether following the layers takes no longer than writing out the policy's chain.
+        """Return whether following the layers takes no longer than building the policy's chain.
 
         Args:
             least_nodes: states times layers from which the layers count as fast.
@@ -442,12 +443,12 @@ def landed_chains(moves: LayerMoves, waiting: FloatArray) -> Iterator[tuple[Chai
 
 
 LARGE = 300_000
-"""Most nodes, states times layers, of a chain that is written out."""
+"""Most nodes, states times layers, of a chain that is built explicitly."""
 
 _NOTHING = np.zeros(0, dtype=np.int64)
 
 _FEW_NODES = 1_000
-"""Nodes up to which a chain is written out for any memory, as its law is found quickly."""
+"""Nodes up to which a chain is built for any memory, since its law is found quickly."""
 
 
 def chain_of_law(

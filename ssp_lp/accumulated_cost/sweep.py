@@ -131,8 +131,8 @@ class Sweep:
     """The sweeps over the layers of one process, with shared data.
 
     A choice is the position of a pair among the pairs of its node, [cap, nodes]. Its measures are
-    the expected charge and the expected totals of ``counted``; with free steps these must be
-    failure and the goal alone.
+    the expected charge and the expected totals of ``counted``; with free steps these must be only
+    failure and the goal.
     """
 
     process: ChargedLayers
@@ -467,7 +467,7 @@ class Sweep:
 
     @cached_property
     def is_acyclic(self) -> bool:
-        """Whether there are no free steps, so that no layer needs a solve of its own."""
+        """Whether there are no free steps, so that no layer needs a solve."""
         return self.process.base.instant.nnz == 0
 
     @property

@@ -9,7 +9,7 @@
   minimum of one affine function per policy), so that interpolation never exceeds it, and the
   process on a grid gives a lower bound of case S (paper, section 3.1.1).
 
-A step beyond the cap leads to a total of its own, at which a tail takes over.
+A step beyond the cap leads to a separate total, at which a tail takes over.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COS
 
     Args:
         cost: the cost.
-        exact: float cost -> the fraction that it means.
+        exact: float cost -> the fraction that it stands for.
     """
     if isinstance(cost, Rational):
         return Fraction(cost)
@@ -58,8 +58,8 @@ def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COS
 def last_layer(bound: float | Fraction, unit: Fraction) -> int:
     """Return the last layer of a lattice within a finite bound; negative: there is none.
 
-    A float means its shortest decimal (three steps of 0.1 are within 0.3), or the multiple of the
-    unit of which it is the nearest float (2/3 for the unit 1/3).
+    A float stands for its shortest decimal (three steps of 0.1 are within 0.3), or for the multiple
+    of the unit to which it is nearest (2/3 for the unit 1/3).
     """
     if not isinstance(bound, Rational):
         nearest = round(Fraction(float(bound)) / unit)
@@ -82,11 +82,11 @@ def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
 def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
     """Return the unit of a lattice of totals: the greatest common divisor of the costs.
 
-    A float means a decimal (``exact_cost``), unless ``exact`` gives its fraction.
+    A float stands for a decimal (``exact_cost``), unless ``exact`` gives its fraction.
 
     Args:
         costs: non-negative; zeros do not matter.
-        exact: float cost -> the fraction that it means.
+        exact: float cost -> the fraction that it stands for.
 
     Returns:
         The unit; 1 if every cost is zero.

@@ -159,7 +159,7 @@ BEYOND: Final = 1e-9  # relative distance of a total that lies beyond another
 
 
 MOST_WRITTEN: Final = 20_000_000
-"""Most pairs of a process that is written out."""
+"""Most pairs of an explicit process."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +232,7 @@ class OpenEnded(ChargedLayers):
         return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """Return None, as pairs nearer the goal must be found on the explicit process."""
+        """Return None, since pairs nearer the goal must be found on the explicit process."""
         return
 
     @cached_property
@@ -288,7 +288,7 @@ class OpenEnded(ChargedLayers):
 
     @cached_property
     def beyond(self) -> LastLayer:
-        """The last layer as a process of its own."""
+        """The last layer as a separate process."""
         base, n = self.base, self.base.n_nodes
         steps = sp.csr_array(base.steps)
         onward = steps.data.copy(), steps.indices % max(n, 1), steps.indptr.copy()
@@ -340,7 +340,7 @@ class LastLayer:
 
 
 def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
-    """Check that layers written out have few enough pairs; else raise :class:`ModelError`."""
+    """Raise :class:`ModelError` if explicit layers have too many pairs."""
     n_pairs = (layers + 1) * len(base.gain)
     if n_pairs > most:
         raise ModelError(
@@ -377,7 +377,7 @@ def first_total(charge: Charge, typical: float) -> float:
 
 
 def truncates(charge: Charge, total: float) -> bool:
-    """Return whether the last layer is inexact, as the charge may change beyond the cap."""
+    """Return whether the last layer is inexact: the charge may change beyond the cap."""
     if charge.slope > 0.0 or charge.settled is None:
         return True
     return total <= charge.settled or not charge.is_affine_beyond(total)

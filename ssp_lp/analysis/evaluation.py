@@ -201,8 +201,8 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
 def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
     """Return the cost law of a problem's measure, with costs as the policy's members count them.
 
-    Members may round costs up. For a measure with values among the totals, the law is that of the
-    true costs if it can be computed quickly.
+    Members may round costs up. For a measure with values among the totals, the law is the law of
+    the true costs if it can be computed quickly.
     """
     return _measured_law(*_law_chains(policy, problem, soon=True), problem.semantics)
 
@@ -469,9 +469,9 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
 def layered_measures(
     policy: Policy, problem: Problem, start: FloatArray, least_nodes: int = LARGE
 ) -> _Measures | None:
-    """Return the measures of a layered policy, or None if its chain must be written out.
+    """Return the measures of a layered policy, or None if its chain must be built.
 
-    The chain is written out if it is small, if the policy remembers more than its cost, if other
+    The chain is built if it is small, if the policy remembers more than its cost, if other
     quantities than the cost are requested, or if a decision is missing or not allowed, which the
     chain's error names.
 
@@ -479,7 +479,7 @@ def layered_measures(
         policy: on the problem's model.
         problem: problem with the semantics and the discount.
         start: distribution over states, [states].
-        least_nodes: states times layers above which a policy is not written out.
+        least_nodes: states times layers above which the chain of a policy is not built.
     """
     model, layers = problem.model, policy.layers()
     if layers is None or problem.conditions or problem.objective_condition is not None:
@@ -644,7 +644,7 @@ def state_give_up_charges(
     Args:
         model: the model.
         semantics: where giving up is allowed and whether it is charged.
-        free: pairs by which a policy may stay, [pairs]; None: those of cost 0.
+        free: pairs by which a policy may stay, [pairs]; None: pairs of cost 0.
     """
     wandering = np.zeros(model.n_states, dtype=np.bool_)
     if semantics.give_up is GiveUp.DEAD_ENDS:  # otherwise giving up costs as little as staying
@@ -777,7 +777,7 @@ def _value_until_failure(
         hopeful: nodes at which failure has not been declared, [nodes].
         semantics: cost of failing.
         survival: the discount.
-        free: pairs that are free in these costs, [pairs]; None: those of cost 0.
+        free: pairs that are free in these costs, [pairs]; None: pairs of cost 0.
         start: mass that enters, [nodes]; None: the chain's own.
     """
     start = chain.start if start is None else start

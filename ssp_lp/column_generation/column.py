@@ -89,7 +89,7 @@ def required(part: _Array | None) -> _Array:
     """Return the choice or totals of a column, which only its pricing problem fills in.
 
     Raises:
-        ModelError: the column has none, as it was not made by pricing.
+        ModelError: the column has none, since it was not made by pricing.
     """
     if part is None:
         raise ModelError("this column has no choice or totals: pricing did not make it")
@@ -233,7 +233,7 @@ class FailureRow:
         follows["rounding"] = _SAME * max(min(budget, demanded), 0.0)
 
     def raised_to(self, least: Column) -> FailureRow:
-        """Return the failure row with the budget raised, if need be, to the least failure."""
+        """Return the failure row with a budget of at least the least failure."""
         return self if self.spare(least) >= 0.0 else self.equal_to(least)
 
     def equal_to(self, least: Column) -> FailureRow:

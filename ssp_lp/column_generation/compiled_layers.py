@@ -1,4 +1,4 @@
-"""Layered problems that limit failure alone: the compiled problem, and its pricing problem.
+"""Layered problems whose only limit is on failure: the problem and its pricing problem.
 
 Beyond the cap lie tails in closed form. A choice is the position of a pair among the pairs of its
 node, [layers, nodes], in the smallest integer type that holds it.
@@ -47,7 +47,7 @@ from ssp_lp.processes.live_rows import uniform_cost
 
 @dataclass(frozen=True, eq=False)
 class LayeredPricing(PricingProblem):
-    """Pricing problem of a layered process with a failure row alone; a choice has [cap, nodes]."""
+    """Pricing problem of a layered process whose only row is failure; a choice has [cap, nodes]."""
 
     process: LayeredProcess
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure
@@ -306,7 +306,7 @@ class CompiledLayered(CompiledProblem):
     """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), within a failure budget.
 
     With the total cost as charge and a ratio this is case S (paper, section 3.1.1). The layers of
-    accumulated cost end where the charge becomes affine, as the optimal tail is then known in
+    accumulated cost end where the charge becomes affine, since the optimal tail is then known in
     closed form. If the affine charge grows, they end at the price from which failing is optimal in
     every state where it is possible for sure. A charge that never becomes affine is truncated and
     refined.
@@ -363,7 +363,7 @@ class CompiledLayered(CompiledProblem):
 
     @property
     def _grows(self) -> bool:
-        """Whether failing becomes optimal at some total, as the charge grows without end."""
+        """Whether failing becomes optimal at some total, since the charge grows without end."""
         return self.charge.slope > 0.0 and not self.layer.safest_only
 
     @cached_property
@@ -617,7 +617,7 @@ class CompiledLayered(CompiledProblem):
         return LayeredPricing(self.process)
 
     def explicit(self) -> ExplicitProcess:
-        """Return the process with all layers below the cap written out."""
+        """Return the explicit process of all layers below the cap."""
         return written_out.materialise(self.process)
 
     def explicit_choice(self, column: Column) -> IntArray:

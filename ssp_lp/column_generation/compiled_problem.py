@@ -1,8 +1,8 @@
 """Compiled problems: a process, its limits and the ways to refine it, and the facts they share.
 
 :class:`CompiledExplicit` has any number of rows: case M on states x failure label, and any charge
-of the accumulated cost in layers. ``compiled_layers`` has problems that limit failure alone, whose
-layers need not be written out.
+of the accumulated cost in layers. ``compiled_layers`` has problems whose only limit is on failure;
+they need no explicit process.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ class CompiledProblem(ABC):
 
     @abstractmethod
     def explicit(self) -> ExplicitProcess:
-        """Return the process written out, for the linear program."""
+        """Return the explicit process, for the linear program."""
 
     def explicit_choice(self, column: Column) -> IntArray:
         """Return the pair of the explicit process that a column takes in each state, [states].
@@ -387,7 +387,7 @@ class LayerAndTails:
 
     @cached_property
     def safest(self) -> LayerAndTails:
-        """The layer with the pairs of greatest goal probability alone."""
+        """The layer with only the pairs of greatest goal probability."""
         return replace(self, safest_only=True)
 
     @cached_property

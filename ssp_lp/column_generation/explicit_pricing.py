@@ -1,8 +1,8 @@
 """The pricing problem of an explicit process, solved by policy iteration.
 
-If the price of a row is 0, end components that add to that row alone are free in the pricing
+If the price of a row is 0, end components that add only to that row are free in the pricing
 problem: staying in one for ever would have a lower priced cost than any policy that leaves. Such
-policies are excluded, as their expected total of that row is infinite. Free end components are
+policies are excluded, because their expected total of that row is infinite. Free end components are
 contracted (``processes.explicit_process``), and policy iteration never finds a policy that stays:
 
 Let v be the values of a policy that leaves, and pi a policy that takes a pair of strictly smaller
@@ -320,7 +320,7 @@ def values_less_paid(values: FloatArray, paid: float) -> FloatArray:
 
 
 def _noise(weights: FloatArray, columns: Sequence[Column | None]) -> float:
-    """Return the largest improvement that may be rounding, as costs and earnings cancel.
+    """Return the largest improvement that may be rounding, since costs and earnings cancel.
 
     Args:
         weights: of the rewards, [rewards].

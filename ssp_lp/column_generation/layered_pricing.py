@@ -45,7 +45,7 @@ class OpenEndedPricing(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[(cap + 1) * nodes + 1], as of the process written out."""
+        """[(cap + 1) * nodes + 1], as of the explicit process."""
         return ((self.augmented.cap + 1) * self.augmented.base.n_nodes + 1,)
 
     @cached_property
@@ -197,7 +197,7 @@ class OpenEndedPricing(PricingProblem):
     def _asked_beyond(
         self, values: FloatArray, weights: FloatArray, best: Column | None = None
     ) -> FloatArray:
-        """Return the values beyond the cap; if infinite, those of an optimal policy."""
+        """Return the values beyond the cap; if infinite, the values of an optimal policy."""
         self.check_shape(values)
         beyond = values[self.augmented.cap * self.augmented.base.n_nodes : -1]
         if np.isfinite(beyond).all():

@@ -51,7 +51,7 @@ _KEPT = 1e-13
 tenth of the library's tolerance."""
 
 _ROOM = 4.0 * MACHINE_EPSILON
-"""Relative tolerance of a bound in fractions, as the policies' totals are rounded sums."""
+"""Relative tolerance of a bound in fractions, since the policies' totals are rounded sums."""
 
 _MOST_STEPS = 10_000  # in fractions, where Bland's rule excludes cycles
 
@@ -79,7 +79,7 @@ def solve_master(
         elastic: minimise the violation instead of the cost.
 
     Raises:
-        SolverError: a basis is singular, as its numbers differ too much in size.
+        SolverError: a basis is singular, because its numbers differ too much in size.
     """
     n_rows, n_columns = activity.shape
     cost = np.zeros(n_columns) if elastic else cost

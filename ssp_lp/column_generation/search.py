@@ -24,7 +24,7 @@ instead of the cost.
 Between two pricing calls the master minimises ``cost + ratio * failure`` with the ratio of its
 last lottery, until the ratio stops falling (Dinkelbach 1967).
 
-**The first columns of one limit** lie on both sides of it and are found by pricing alone: a high
+**The first columns of one limit** lie on both sides of it, and only pricing finds them: a high
 price of failure gives a policy that satisfies the budget, and the price rises until one does.
 The least failure itself, which takes two stages, is computed only if this fails because the budget
 is near the least failure or below it.
@@ -188,7 +188,7 @@ class Master:
     _since: float = field(default_factory=time.perf_counter)
 
     def begin_at_bound(self, budget: float) -> None:
-        """Set the prices and the bound to those of a column that is known to be optimal.
+        """Set the prices and the bound by a column that is known to be optimal.
 
         Args:
             budget: of failure, the only limit.
@@ -299,7 +299,7 @@ class Master:
         )
 
     def _begin_at_larger_ratio(self) -> bool:
-        """Raise the ratio to the one attained, or a steeper one; return whether to stop."""
+        """Raise the ratio to the attained or a steeper ratio; return whether to stop."""
         attained, steeper = self.objective, self.rows.ratio * _STEEP_RATIO
         self._first_ratio = self._first_ratio or max(self.rows.ratio, 1.0)
         if not np.isfinite(attained) and steeper > _STEEPEST * self._first_ratio:
@@ -370,7 +370,7 @@ def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOpt
 
 
 def certified(master: Master, row: FailureRow, generated: Generated, tolerance: float) -> Generated:
-    """Return the result of a search with a failure row alone, with a certified bound.
+    """Return the result of a search whose only row is failure, with a certified bound.
 
     Without time for a proof the best intermediate one is used, or the bound -inf with infinite
     values, which a later certificate lowers.
@@ -421,7 +421,7 @@ class DualGuess:
 
 
 def master_at(pool: Pool, row: FailureRow, *known: Column | None) -> Master:
-    """Return the master of a failure row alone, over columns of which one satisfies it.
+    """Return the master of one failure row, over columns of which one satisfies it.
 
     Args:
         pool: the work of finding the columns; updated in place.

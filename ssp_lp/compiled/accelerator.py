@@ -74,7 +74,7 @@ def has_accelerator() -> bool:
 
 
 def give_up_compiling() -> None:
-    """Use numpy until the process ends, as numba was interrupted."""
+    """Use numpy until the process ends, because numba was interrupted."""
     _loops.is_given_up = True
     message = "numba was interrupted while it compiled: this process goes on without it"
     logging.getLogger("ssp_lp.compiling").info(message)

@@ -1,7 +1,7 @@
 """Compiled Bellman backups of a whole process; the numpy version is in ``bellman``.
 
 Without fast-math sums run in the order of scipy's products, so that both agree to the last bit.
-Index arrays are unsigned views, as numba tests signed indices for negative values at each access.
+Index arrays are unsigned views, because numba tests signed indices for negative values.
 """
 
 from __future__ import annotations

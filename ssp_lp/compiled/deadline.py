@@ -244,7 +244,7 @@ def is_within_call() -> bool:
 
 
 def is_limited() -> bool:
-    """Return whether there is a time limit, not Ctrl-C alone."""
+    """Return whether there is a time limit (Ctrl-C alone does not count)."""
     deadline = _running.get()
     return deadline is not None and deadline.at < float("inf")
 
@@ -272,7 +272,7 @@ def end_with_incumbent(stop: BaseException) -> None:
 
 
 class WithIncumbent:
-    """Context in which a stop or Ctrl-C ends the block only, as there is an incumbent.
+    """Context in which a stop or Ctrl-C ends only the block, since there is an incumbent.
 
     with WithIncumbent() as search:
         column = pricing.minimise(price)

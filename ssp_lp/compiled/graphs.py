@@ -1,6 +1,6 @@
 """Compiled search of strong components, each after the components that it leads to.
 
-Index arrays are unsigned views, as numba tests signed indices for negative values at each access.
+Index arrays are unsigned views, because numba tests signed indices for negative values.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _search_components(
     """Continue a depth-first search for strong components; return whether it has not ended.
 
     Args:
-        begin: see ``order_components``, as for ``end``, ``indices`` and ``data``.
+        begin: see ``order_components``, also for ``end``, ``indices`` and ``data``.
         end: [states].
         indices: [entries].
         data: [entries].

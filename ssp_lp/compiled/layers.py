@@ -1,7 +1,7 @@
 """Compiled passes over the layers of accumulated cost, backward and forward.
 
 Without fast-math sums run in the order of scipy's products, so that both agree to the last bit.
-Index arrays are unsigned views, as numba tests signed indices for negative values at each access.
+Index arrays are unsigned views, because numba tests signed indices for negative values.
 """
 
 from __future__ import annotations
@@ -187,7 +187,8 @@ def sweep_layers(
         owed: cost of a pair in addition to the charge, non-negative, [pairs].
         saved: reward of a pair, non-negative, [pairs].
         values: values of the layers, written, and of later layers, given, [all layers * nodes].
-        measured: measures, likewise, [all layers * nodes, 1 + counted]; empty: not computed.
+        measured: measures, in the same order, [all layers * nodes, 1 + counted]; empty: not
+            computed.
         position: the choice among each node's pairs, [layers, nodes].
         keeps: whether the choice is given rather than written; values are then not used.
         within: super-solution of the number of free steps, [nodes]: at least one more than its

@@ -220,7 +220,7 @@ class PartitionedModel:
         its own decisions, in states where it may give up.
 
         Args:
-            policy: a policy on this model: that of a solution, or one that was loaded.
+            policy: a policy on this model: a solution's policy, or a loaded one.
             criterion: a class such as ``MCMP``, with arguments as in :meth:`solve`.
 
         Raises:
@@ -280,7 +280,7 @@ class PartitionedModel:
         """Compile a problem on this rank's part, with the first rank's bounds of rows."""
 
         def told(row: Any) -> Any:
-            """Return a row with the numbers of the first rank, as sums may differ by rounding."""
+            """Return a row with the first rank's numbers, since sums may differ by rounding."""
             if row is None:
                 return None
             own = {"constant": row.constant, "bound": row.bound, "offset": row.offset}

@@ -124,7 +124,7 @@ class _Equations:
         return ksp, *matrix.createVecs(), matrix
 
     def clear(self) -> None:
-        """Destroy PETSc's objects; all ranks must call this, as no garbage collector does it."""
+        """Destroy PETSc's objects; all ranks must call this, since no garbage collector does it."""
         for one in vars(self).pop("_solver", ()):
             one.destroy()
 
@@ -565,7 +565,7 @@ class CompiledPartitioned(CompiledExplicit):
         return partitioned_process(self, **self.more)
 
     def counting_rare_success(self, budget: float | None) -> CompiledPartitioned:
-        """Return the problem itself, as ranks count failure and not success."""
+        """Return the problem itself, since ranks count failure and not success."""
         return self
 
     def least_failure(self) -> LeastFailure:
@@ -602,5 +602,5 @@ class CompiledPartitioned(CompiledExplicit):
         return self if (self.budget or 0.0) > least else replace(self, budget=least)
 
     def refined(self, price: float) -> None:
-        """Return None, as the process truncates nothing and cannot be refined."""
+        """Return None, since the process truncates nothing and cannot be refined."""
         return

@@ -166,7 +166,7 @@ def backup_rounding(transitions: SparseRows) -> FloatArray:
 def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> FloatArray:
     """Compute ``transitions[choice] @ x`` for one vector or several.
 
-    For few entries all rows are multiplied, as selecting rows costs more.
+    For few entries all rows are multiplied, since selecting rows costs more.
     """
     check_time()
     if len(transitions.indices) <= _FEW_ENTRIES:

@@ -45,7 +45,7 @@ _AT_ONCE = 10_000_000  # entries of steps between two checks of the time
 _RESTARTS = 8
 _SWEEPS_BETWEEN = 20  # sweeps after a breakdown of a Krylov run
 _LEAST_RESIDUAL = 1e-12
-"""Relative residual of a Krylov method that is accepted, as later corrections remove it."""
+"""Relative residual of a Krylov method that is accepted, since later corrections remove it."""
 
 _LITTLE_WORK = 1e6
 """Multiplications of a direct solution that take as long as the calls around a Krylov method."""

@@ -1,6 +1,6 @@
 """Dynamics of substochastic processes: transitions, exits and their graph, without costs.
 
-The module also finds policies that leave a process, as only these have finite totals.
+The module also finds policies that leave a process, since only these have finite totals.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from ssp_lp.errors import SolverError
 from ssp_lp.model.graph import Graph, nearer_pairs
 
 _KEPT_CHAINS = 4
-"""Number of policies whose equations are kept, as layers of accumulated cost reuse a few."""
+"""Number of policies whose equations are kept, since layers of accumulated cost reuse a few."""
 
 _KEPT_STATES = 100_000  # most states of equations that are kept
 SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops

@@ -95,7 +95,7 @@ class System:
 
     @property
     def is_solved_exactly(self) -> bool:
-        """Whether the equations are solved exactly at any accuracy, as no component is large."""
+        """Whether no component is large, so that the equations are solved exactly."""
         return self.components.largest <= EXACTLY_SOLVED
 
     @property

@@ -94,7 +94,7 @@ def iterate_policy(
     A state changes its pair only for a gain above rounding. If the first policy's chain is
     transient, and every end component has a cost, then every later policy is transient as well, and
     the fixed point is the optimum (mathematics, section 4). The graph of each chain is checked
-    before its evaluation, as rounding could violate this.
+    before its evaluation, because rounding could violate this.
 
     Args:
         dynamics: the process.

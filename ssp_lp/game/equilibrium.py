@@ -176,7 +176,7 @@ def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:
     """Return the alpha in [0, 1] at which two policies have equal payoffs.
 
     The lines of policies that differ by rounding alone may cross outside of [0, 1]; the nearer end
-    is returned, as one policy then dominates the other.
+    is returned, since one policy then dominates the other.
     """
     spared = minus.objective - plus.objective
     risked = game.scale * (plus.failing - minus.failing)

@@ -4,7 +4,7 @@ M_o and M_{d,gamma} have the same states, actions and successors; they differ in
 step of M_{d,gamma} goes on with probability gamma only. In case S a state includes the accumulated
 cost (section 3.1.1). Case M (section 3.1.2) has a single layer, the live states with label s.
 States with label f are left out: nothing is paid there, and the failure cost from there on is ``sum
-(1 - gamma) gamma^t = 1``. Dead-ends are left out as well, as giving up at once is best there.
+(1 - gamma) gamma^t = 1``. Dead-ends are left out as well, since giving up at once is best there.
 Wandering for ever at no cost is equal to giving up free of charge, so that a pair for giving up is
 added in states where the model allows wandering.
 
@@ -581,7 +581,7 @@ class BayesPlayer(Player):
     def last_tail(self) -> tuple[IntArray, LayeredTails]:
         """The policy that is followed beyond cap and horizon: its pairs, [nodes], and its values.
 
-        In case S it is the policy that fails most under the discount, as undiscounted MINPROB
+        In case S it is the policy that fails most under the discount, because undiscounted MINPROB
         (``undiscounted_tail``) would need much greater M and horizon. In case M it is the policy of
         least J_obj. J_obj is undiscounted, while J_cond remains discounted (section 3.3).
         """
@@ -615,7 +615,7 @@ class BayesPlayer(Player):
         return choice, tails
 
     def _surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
-        """Bound the weighted cost minus that of sure failure from below, [totals, nodes].
+        """Bound the weighted cost minus the cost of sure failure from below, [totals, nodes].
 
         A policy with discounted success E[gamma^T; goal] reaches the goal with at least that
         probability, and then pays at least the accumulated cost, undiscounted. This bound is linear
@@ -757,7 +757,7 @@ class BayesPlayer(Player):
     def _beyond(self, totals: Totals, weights: FloatArray) -> FloatArray:
         """Bound the weighted cost of every policy beyond the horizon from below, [nodes, totals].
 
-        The stationary game gives such a bound, as discounting the objective can only lower it.
+        The stationary game gives such a bound, since discounting the objective can only lower it.
 
         Args:
             totals: the totals.

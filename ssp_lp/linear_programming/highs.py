@@ -37,7 +37,7 @@ def solve_with_highs(
 ) -> LPAnswer:
     """Solve with HiGHS' dual simplex or its interior point IPX (with crossover).
 
-    IPX ignores the time limit. The name ``ipm`` is avoided, as it means another solver if
+    IPX ignores the time limit. The name ``ipm`` is avoided, because it means another solver if
     ``highspy-extras`` is installed.
 
     Args:

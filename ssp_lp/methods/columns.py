@@ -383,8 +383,9 @@ def _attempt(
 ) -> Optimum[CompiledProblem]:
     """Run one search, started at the dual of the linear program if that is the method.
 
-    If the budget equals the least failure, no program is solved, as its feasibility would depend
-    on rounding: the column of least failure is the answer, with its own bound. The least failure is
+    If the budget equals the least failure, no program is solved, because its feasibility would
+    depend on rounding: the column of least failure is the answer, with its own bound. The least
+    failure is
     computed if the safest column is so near the budget that both may be equal.
 
     Args:

@@ -73,7 +73,7 @@ _REFUSED = 100  # most policies that satisfy the budget only within HiGHS's tole
 _EXCLUDED = 8  # most policies excluded as equal to the best within HiGHS's tolerances
 _ROUNDING = 1e-13
 _SMALL = 1e-10  # relative
-"""Feasibility tolerance of the budget, as failure may be summed in another order."""
+"""Feasibility tolerance of the budget, since failure may be summed in another order."""
 
 
 def best_deterministic(
@@ -144,7 +144,7 @@ class _PolicySearch:
 
     @cached_property
     def relaxation(self) -> _DeterministicRelaxation:
-        """The process written out, with its relaxation."""
+        """The explicit process, with its relaxation."""
         return deterministic_relaxation(self.outcome.compiled, self.outcome.kappa)
 
     def run(self) -> bool:
@@ -178,7 +178,7 @@ class _PolicySearch:
 
         Two policies that are optimal at prices just below and above the lottery's price are both
         optimal at it. So is every policy that follows one in some states and the other elsewhere:
-        among these, the one of largest failure within the budget is cheapest. Policies of prices
+        among these, the policy of largest failure within the budget is cheapest. Policies of prices
         farther away differ in more states.
         """
         compiled, price = self.relaxation.compiled, self.outcome.kappa
@@ -320,7 +320,7 @@ class _DeterministicRelaxation:
 
 
 def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _DeterministicRelaxation:
-    """Write a process out, with its relaxation for deterministic policies.
+    """Build a process explicitly, with its relaxation for deterministic policies.
 
     Args:
         compiled: a problem of case M or S.
@@ -536,7 +536,7 @@ def most_visits(
     Args:
         process: the process; policies may be randomised.
         budget: of failure.
-        most: largest ``<cost - ratio * goal, x>``, that of a known policy.
+        most: largest ``<cost - ratio * goal, x>``: the value of a known policy.
         ratio: reward of success; 0 in case M.
         deadline: by ``time.perf_counter``.
 

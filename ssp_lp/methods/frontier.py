@@ -4,7 +4,7 @@ The least objective is convex in the bound, and linear between turning points. S
 two points are split, the one with the largest gap below it first, until no policy lies below any
 segment by more than the gap. Two searches find the split point:
 
-- **Columns**, if failure alone is limited. The pricing problem is solved at the slope of the
+- **Columns**, if only failure is limited. The pricing problem is solved at the slope of the
   segment: either no policy lies below it, or the column found is the next point.
 - **Optima at bounds**, over any limit, with the other limits fixed. A mixture of the lotteries of
   two bounds attains every bound between them. The prices of an optimum with lower bound L prove,
@@ -701,7 +701,7 @@ def _share_below(p: Column, q: Column, column: Column | None, price: float) -> f
 
 
 def _traced_by_columns(problem: Problem, limits: _TraceLimits) -> Frontier:
-    """Trace over failure alone, on finer processes while the cap on the cost leaves a large gap.
+    """Trace over the failure budget, on finer processes while the cap leaves a large gap.
 
     The gap is largest where the price is steepest. A few pricing calls at that end first determine
     how fine the process must be; then the whole frontier is traced once.

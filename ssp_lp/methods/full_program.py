@@ -31,7 +31,7 @@ def solve_program(
     *,
     ratio: bool,
 ) -> ProgramOptimum:
-    """Solve the full linear program of a process, falling back to another backend if need be.
+    """Solve the full linear program of a process; if a backend fails, try another one.
 
     Args:
         process: the process.

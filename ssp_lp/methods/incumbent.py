@@ -246,7 +246,7 @@ def worth_bound(problem: Problem) -> float:
     """Return a bound of the optimum: no run to the goal costs less than the cheapest way there.
 
     It is a lower bound of costs given success, of their quantiles and tail means, and an upper
-    bound of the worth of the goal, as charges do not fall as the total grows.
+    bound of the worth of the goal, because charges do not fall when the total grows.
 
     Args:
         problem: a problem with a cost given success, or a measure of its law.

@@ -41,8 +41,8 @@ def program_of(
 
     Args:
         problem: a formulation.
-        bounds: bounds of rows, by name, that replace those of the problem.
-        start: a start that replaces that of the problem.
+        bounds: bounds of rows, by name, that replace the problem's bounds.
+        start: a start that replaces the problem's start.
 
     Returns:
         The labelled program, for any solver.

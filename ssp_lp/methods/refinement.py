@@ -54,7 +54,7 @@ def proved_objective(
     """Return the proof for the stated objective, from a bound of the minimised value.
 
     Args:
-        sense: relation between the two.
+        sense: relation between minimised value and stated objective.
         objective: stated objective of a policy.
         bound: lower bound of the minimised value.
         allowed: largest failure of the policies that the bound is about.
@@ -123,7 +123,7 @@ def finer_optima(
     options: SolveOptions,
     patience: int,
 ) -> Iterator[Optimum[_Compiled]]:
-    """Yield an optimum and those of finer and finer compiled problems, with the work of all.
+    """Yield an optimum, then the optima of finer and finer problems, with the work of all.
 
     Args:
         optimum: of the first problem. Without a value function its bound is not proved, and only

@@ -5,8 +5,8 @@ Both are searches over thresholds; each trial minimises E[charge(total cost) | g
 **The quantile**, by Newton's method on its bound. With a charge of 1 for every arrival beyond B the
 least E[charge | goal] is the least Pr(C > B | goal), which falls as B grows. The answer is the
 least B at which it is at most 1 - level, with the policy of least Pr(C > B | goal). Prices of
-failure and of the other rows give a lower bound of that share for every B (by one sweep, if failure
-alone is limited). They refute each B whose lower bound is above 1 - level. At the optimal prices
+failure and of the other rows give a lower bound of that share for every B (by one sweep, if only
+failure is limited). They refute each B whose lower bound is above 1 - level. At the optimal prices
 the greatest refuted B is the neighbour of the answer. The search alternates between the optimal
 prices at a B and the first B that these do not refute.
 
@@ -84,7 +84,7 @@ def least_risk(
     Args:
         problem: the problem; it has the measure and its level.
         options: method, tolerance and limits.
-        question: the admissible policies; None: those of the problem.
+        question: the admissible policies; None: the problem's policies.
         near: where the search may begin, or None.
 
     Raises:
@@ -256,7 +256,7 @@ class _Question(ABC):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _WithinBudget(_Question):
-    """Policies with a limit on failure alone; for least failure its price has no effect."""
+    """Policies with failure as the only limit; for least failure its price has no effect."""
 
     compiled: CompiledLayered
 
@@ -528,7 +528,7 @@ class _TailMeanSearch:
     sweeps: int = 0
 
     def attempt(self, threshold: int) -> Answer:
-        """Minimise at a threshold; return the better of the incumbent and the new policy."""
+        """Minimise the risk at a threshold; return the better of incumbent and new policy."""
         charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
         trial = self.question.attempt(charge, self.options, self._kappa(threshold))
         self.tried[threshold], self.kappas[threshold] = trial, trial.kappa

@@ -390,7 +390,7 @@ def coarser_unit(problem: Problem) -> tuple[Fraction, bool] | None:
 
     Returns:
         The unit, at most the least step, and whether it is the unit of most costs. None: it does
-        not help, or the problem is not case S with a limit on failure alone.
+        not help, or the problem is not case S with failure as the only limit.
     """
     if not problem.is_mean_within_budget or problem.cost_cap is not None:
         return None
@@ -412,7 +412,7 @@ def coarser_unit(problem: Problem) -> tuple[Fraction, bool] | None:
 def is_split(problem: Problem, seconds: float = np.inf) -> bool:
     """Return whether the costs of a problem must be split.
 
-    They are split in case S with a limit on failure alone, under two conditions: no step is far
+    They are split in case S, if failure is the only limit, under two conditions: no step is far
     more expensive than the others; and the sums of costs are too many for exact layers, or are
     known to take longer than the time left.
 
@@ -442,7 +442,7 @@ def is_split(problem: Problem, seconds: float = np.inf) -> bool:
 def with_split_costs(model: SSP, unit: Fraction) -> SSP:
     """Return the model with the cost of each step split between two multiples of a unit.
 
-    The last step of an episode is not split, as no policy has to remember its cost.
+    The last step of an episode is not split, since no policy has to remember its cost.
 
     Args:
         model: the model.
@@ -552,7 +552,7 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
     """Solve on rounded costs: a policy by costs rounded up, a bound by costs rounded down.
 
     Args:
-        problem: a criterion of the law of the total cost, with a limit on failure alone.
+        problem: a criterion of the law of the total cost, with failure as the only limit.
         options: tolerance and limits.
 
     Raises:

@@ -422,7 +422,7 @@ def true_figures(
     Args:
         problem: the problem.
         stated: the problem, compiled.
-        value: returns the minimised value of a lottery; None: that of the problem's objective.
+        value: returns the minimised value of a lottery; None: the value of the problem's objective.
     """
     if stated.charge is None:
         return None
@@ -457,7 +457,8 @@ def row_activities(stated: CompiledExplicit, evaluation: Evaluation) -> list[flo
 def opened(stated: CompiledExplicit, options: SolveOptions) -> tuple[CompiledExplicit, Master]:
     """Run phase 1; return the problem and the search that phase 2 starts from.
 
-    If the budget equals the least failure, the problem becomes that of least failure. The least
+    If the budget equals the least failure, the problem becomes the problem of least failure. The
+    least
     failure is not computed if a policy of phase 1 fails less often than the budget allows.
     """
     if not (stated.limits_failure and stated.is_whole):

@@ -191,7 +191,7 @@ class Grid:
         )
 
     def misses(self, heights: Coordinates) -> BoolArray:
-        """Return a mask of points outside the box, which broadcasts to the points."""
+        """Return a mask of the points outside the box, in a shape that broadcasts to the points."""
         missed: BoolArray = np.zeros((), dtype=np.bool_)
         for axis, values in zip(self.axes, heights, strict=True):
             off = axis.misses(values)
@@ -450,7 +450,7 @@ def take_step_in_world(
         model: the world.
         point: an array for each axis, with as many dimensions as ``shape``, broadcasting to it.
         action: position of the action among the model's actions.
-        noise: an array for each random number, likewise.
+        noise: an array for each random number, of such a shape.
         shape: common shape of the points.
 
     Raises:
@@ -553,7 +553,7 @@ class WorldSimulator:
             raise ModelError(f"start needs {len(axes)} coordinates, not {len(self.start)}")
 
     def check_model(self, model: SSP) -> None:
-        """Raise :class:`ModelError` for a model whose number of states is not the world's."""
+        """Raise :class:`ModelError` if model and world have different numbers of states."""
         if model.n_states != self.world.n_states:
             raise ModelError(
                 f"the simulator's world has {self.world.n_states:,} states, the policy's model "

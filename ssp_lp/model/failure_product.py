@@ -40,7 +40,7 @@ GIVING_UP: Final = "give up"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FailureSSP(ProductSSP):
-    """A model whose states are (state, label of failing); see :func:`label_failing`.
+    """A model whose states are (state, failure label); see :func:`label_failing`.
 
     State k of the model is state k here before failing, and state ``n + k`` after it.
     """
@@ -61,7 +61,7 @@ class FailureSSP(ProductSSP):
 
     @property
     def n_original(self) -> int:
-        """Number of states of the original, without the label of failing."""
+        """Number of states of the original, without the failure label."""
         return self.original.n_states
 
     @cached_property
@@ -82,7 +82,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def lost(self) -> BoolArray:
-        """States without the label of failing whose original is a dead-end, [states]."""
+        """States without the failure label whose original is a dead-end, [states]."""
         dead = dead_ends(self.original)
         return np.append(dead, np.zeros_like(dead))
 
@@ -93,16 +93,16 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def stop_marks(self) -> IntArray:
-        """Number of the end that a run has if it stops in a state, [states].
+        """Number of the end of a run that stops in a state, [states].
 
-        A dead-end's own number, otherwise that of having given up (``graph.end_marks``).
+        A dead-end's own number, otherwise the number of giving up (``graph.end_marks``).
         """
         marks, gave_up = end_marks(self.original), len(self.state_labels) + 2
         return np.tile(np.where(dead_ends(self.original), marks, gave_up), 2)
 
     @cached_property
     def end_marks(self) -> IntArray:
-        """Number of the end that a run has in a state, -1 if it goes on, [states]."""
+        """Number of the end of a run that ends in a state, -1 if it continues, [states]."""
         return np.where(self.goal_mask, 0, np.where(self.ended, self.stop_marks, -1))
 
     @cached_property
@@ -242,7 +242,7 @@ def label_failing(
 
 
 def check_label(model: SSP) -> FailureSSP:
-    """Return the model if it is a product with the label of failing.
+    """Return the model if it is a product with the failure label.
 
     Raises:
         ModelError: it is not.

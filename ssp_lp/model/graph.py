@@ -418,7 +418,7 @@ def end_marks(model: SSP) -> IntArray:
 
 
 def stop_marks(model: SSP) -> IntArray:
-    """Return the number of the end that a run has if it stops in each state, [states].
+    """Return the number of the end of a run that stops in each state, [states].
 
     Numbers as in :func:`end_marks`; k + 2 is having given up.
     """

@@ -536,12 +536,12 @@ class SSP(Graph, ReadOnlyCopies):
         treat_actionless_as_dead_ends: bool = False,
         normalise: bool = False,
     ) -> SSP:
-        """Build a model from CSR arrays; those of the right type are kept, not copied.
+        """Build a model from CSR arrays; arrays of the right type are not copied.
 
         Args:
             pair_offsets: [states + 1]; the pairs of state s are ``pair_offsets[s] :
                 pair_offsets[s + 1]``.
-            outcome_offsets: [pairs + 1]; the outcomes of pair k, likewise.
+            outcome_offsets: [pairs + 1]; the outcomes of pair k, in the same way.
             successors: [outcomes], indices of states.
             probabilities: [outcomes].
             costs: one number, or one per pair, or one per outcome.
@@ -653,7 +653,7 @@ class SSP(Graph, ReadOnlyCopies):
 
         Args:
             probabilities: derivative of each by the step, by outcome.
-            costs: likewise, by name (of ``costs_by_name``) and outcome.
+            costs: derivatives, by name (of ``costs_by_name``) and outcome.
             step: length of the step.
         """
         chances, every = self.probabilities.copy(), dict(self.costs_by_name)
@@ -821,7 +821,7 @@ class SSP(Graph, ReadOnlyCopies):
 
     @property
     def failure_label(self) -> FailureSSP | None:
-        """The model itself if its states bear the label of failing; otherwise None."""
+        """The model itself if its states bear the failure label; otherwise None."""
         return None
 
     @property

@@ -116,7 +116,7 @@ class TrackedSSP(ProductSSP):
 
 
 def followed_in(model: SSP, follows: object) -> tuple[TrackedSSP, IntArray] | None:
-    """Return that of a model's nested products which has the automaton of a limit, or None.
+    """Return the product, among a model's nested products, with a limit's automaton, or None.
 
     Args:
         model: a product of products.

@@ -257,7 +257,7 @@ class Policy(_Playable):
 
     @property
     def declares_failing(self) -> bool:
-        """Whether the policy itself sets the label of failing, and acts on states that carry it."""
+        """Whether the policy itself sets the failure label, and acts on states that carry it."""
         return self.model.failure_label is not None
 
     @property

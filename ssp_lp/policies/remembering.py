@@ -198,7 +198,7 @@ class JointMemory(Policy):
         return reduce(np.intersect1d, listed, np.arange(self.model.n_states))
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Return the initial joint memory, from that of each keeper, [episodes]."""
+        """Return the initial joint memory, made of each keeper's memory, [episodes]."""
         parts: list[IntArray] = [keeper.start_memory(states) for keeper in self.keepers]
         return np.asarray(np.ravel_multi_index(parts, self._sizes))
 
@@ -226,7 +226,7 @@ class JointMemory(Policy):
 
 
 def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
-    """Return the members of a lottery whose memories include those of all members.
+    """Return the members of a lottery whose memories together include all members' memories.
 
     Raises:
         ModelError: a member is of a class with unknown memory.
@@ -346,7 +346,7 @@ class RememberingPolicy(_Carried):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LabelledPolicy(_Carried):
-    """A policy of (state, label of failing) that acts on states, also after failing.
+    """A policy of (state, failure label) that acts on states, also after failing.
 
     Giving up is combined with an action, and remembered as "giving up". In a dead-end the policy
     continues if its problem counts quantities there. The digit is the label.
@@ -358,12 +358,12 @@ class LabelledPolicy(_Carried):
 
     @property
     def product(self) -> FailureSSP:
-        """Product with the label of failing on which the inner policy acts."""
+        """Product with the failure label on which the inner policy acts."""
         return check_label(self.inner.model)
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """Original model of a policy that remembers the label of failing."""
+        """Original model of a policy that remembers the failure label."""
         return self.product.original
 
     @property
@@ -404,7 +404,7 @@ class LabelledPolicy(_Carried):
         return Branches(situation, acting, chance / total[situation], kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Update the label of failing, and the inner policy's memory, [episodes].
+        """Update the failure label, and the inner policy's memory, [episodes].
 
         The inner policy does not count costs after failing.
         """
@@ -430,7 +430,7 @@ class LabelledPolicy(_Carried):
 
 
 class _Label(enum.IntEnum):
-    """Label of failing in a policy's memory."""
+    """Failure label in a policy's memory."""
 
     BEFORE = 0
     GIVING_UP = 1  # with the next action

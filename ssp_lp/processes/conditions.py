@@ -1,8 +1,8 @@
 """Checked constraints on a model, and their rows in a program.
 
 Every row is ``<coefficients, x> <= bound`` with coefficients >= 0, so that it is a cost at every
-price. A lower bound on a probability is an upper bound on its complement. Visits and costs have no
-complement, as they are unbounded, so that this form has no lower bound on them.
+price. A lower bound on a probability is an upper bound on its complement. Visits and costs are
+unbounded and have no complement, so this form has no lower bound on them.
 """
 
 from __future__ import annotations

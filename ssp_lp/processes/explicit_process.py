@@ -259,7 +259,7 @@ class PricedMinimum:
 def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMinimum:
     """Minimise a cost over all policies of an explicit process.
 
-    Free end components are contracted first, as rounding could lead to policies that stay there.
+    Free end components are contracted first, because rounding could lead to policies that stay.
 
     Args:
         process: the process.

@@ -160,8 +160,8 @@ def counting_of(
     Args:
         labelled: the process; only components that are free in all quantities are collapsed.
         start: distribution over states, [states].
-        semantics: those of the process.
-        discount: that of the process.
+        semantics: semantics of the process.
+        discount: discount of the process.
     """
     process, n_pairs = labelled.process, len(labelled.departs)
     ends = process.goal[:n_pairs], process.failure[:n_pairs]

@@ -97,7 +97,7 @@ def check_counted_past_failing(
         ratio: whether the cost is counted given success.
 
     Raises:
-        ModelError: it cannot, as the process has no failure label for it.
+        ModelError: it cannot, because the process has no failure label.
     """
     # finiteness does not matter here: the discount skips that check
     needed = labelled_past_failing(asked.model, (), asked, semantics, ratio=ratio, discount=1.0)

@@ -114,7 +114,7 @@ class Quotient:
     def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
         """Return a pair of each node on a shortest way to a leaving pair, [nodes]; -1: none.
 
-        The result is None if components are merged, as their members differ in distance.
+        The result is None if components are merged, since their members differ in distance.
 
         Args:
             leaving: [model pairs].
@@ -313,7 +313,7 @@ def _quotient_with_pairs(
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """The uncollapsed quotient, and the map between its pairs and those of the merged one.
+    """The uncollapsed quotient, and the map between its pairs and the merged quotient's pairs.
 
     Methods count departures from a node; stated programs count the visits of each pair. Pairs
     within a component cost nothing and have no visits here. Staying in a component for ever is
@@ -414,7 +414,7 @@ def _flow_of_moves(
 ) -> FloatArray:
     """Return the flow of each pair inside a collapsed component, [model pairs].
 
-    The k-th exits of all components are handled together, as components do not overlap.
+    The k-th exits of all components are handled together, since components do not overlap.
 
     Args:
         quotient: the live part of the model.

@@ -68,7 +68,7 @@ BOUND_TO_START = (
 
 @dataclass(frozen=True, eq=False)
 class Augmented(ABC):
-    """An augmented process written out explicitly, and the mapping of its policies to the model.
+    """An explicit augmented process, and the mapping of its policies to the model.
 
     Pairs are numbered over all copies of the live part, one copy after another, followed by the
     pair of the source. The process contains only the pairs that some policy reaches.
@@ -239,11 +239,11 @@ class LabelledModel(Augmented):
 
     @property
     def live(self) -> FailureLabelled:
-        """The labelled states; there is one copy, as no cost is accumulated."""
+        """The labelled states; there is one copy, since no cost is accumulated."""
         return self.inner
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """Yield the one flow, as there is one copy."""
+        """Yield the flow of the only copy."""
         quotient = self.quotient
         flow = model_flow(quotient, visits[: self.width] / self.inner.departs)
         yield moving_within(quotient, flow, self.start + flow.entering(quotient))

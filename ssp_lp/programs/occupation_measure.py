@@ -60,7 +60,8 @@ _LISTED = 20  # number of rows that are printed
 class OccupationMeasure:
     """Expected visits of every pair of the process, with the prices and the status of the solver.
 
-    The visits are, to rounding, those of the policy that the solver's answer describes. Objective,
+    The visits are, to rounding, the visits of the policy that the solver's answer describes.
+    Objective,
     activity and residual are recomputed from these visits and the program. The residual is the
     amount by which a row is exceeded, which a solver's tolerance allows.
     """
@@ -82,7 +83,7 @@ class OccupationMeasure:
     def rows(self) -> tuple[MeasuredRow, ...]:
         """Rows of the program with activity and dual, rows that the user added last.
 
-        In case S the price is that of the ratio: for every policy, ``cost + price * (spent -
+        In case S the price is the price of the ratio: for every policy, ``cost + price * (spent -
         bound)`` divided by the goal probability is at least c*. One more unit of the bound improves
         c* by the price divided by the goal probability. With goal probability 0 there is no c*.
         """
@@ -283,7 +284,7 @@ class StateValues:
 
     ``values["depot"]`` is the value of a state. The mean over the start is c* plus the sum of price
     times bound over the rows. In case S the cost is reduced by c* times the goal probability, so
-    that the mean is the sum of price times bound alone.
+    that the mean is only the sum of price times bound.
     """
 
     program: OccupationProgram
@@ -422,7 +423,7 @@ def _decomposed(
         visits of this lottery, [pairs].
 
     Raises:
-        SolverError: the visits are those of no policy.
+        SolverError: no policy has these visits.
     """
     left, members, weights = visits.copy(), [], []
     followed = np.zeros_like(visits)

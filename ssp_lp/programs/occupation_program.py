@@ -531,7 +531,7 @@ class OccupationProgram(Report):
         """Return the best policy at prices of the rows, and the bound that they prove.
 
         For prices l >= 0 of the rows <q, x> <= b, every measure satisfies ``<cost, x> >= <cost +
-        l q, x> - l b``, and the right side is minimised subject to balance alone. The bound holds
+        l q, x> - l b``, and the right side is minimised subject only to balance. The bound holds
         for the program with these columns, which must be complete.
 
         Args:

@@ -2,7 +2,7 @@
 
 ``certificate_lines.py``, with ``expand.py`` and ``prove.py``, checks a file and prints the question
 and the result. These scripts share nothing with the library, so that this module need not be
-trusted. A float means its shortest decimal; a cost given as a fraction means that fraction.
+trusted. A float stands for its shortest decimal; a cost given as a fraction stands for itself.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def sha256_of(problem: Problem) -> str:
 
 
 def _refused(problem: Problem, why: str) -> ModelError:
-    """Return the error that certificate files do not cover a question."""
+    """Return the error for a question that certificate files do not cover."""
     return ModelError(f"no certificate file of {type(problem).__name__}: {why}")
 
 

@@ -233,7 +233,7 @@ def _least(ways: Sequence[_Way]) -> list[tuple[int, int]]:
 def _connected(ways: Sequence[_Way]) -> list[tuple[int, int]]:
     """Return the value of each node of a block with cycles, and a best way from it.
 
-    The nodes of a free end component have one value, as its cycles give no inequality.
+    The nodes of a free end component have one value, since its cycles give no inequality.
     """
     size = ways[-1].node + 1
     dynamics = _dynamics_of(ways, size)
