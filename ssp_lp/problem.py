@@ -297,7 +297,7 @@ class Restated(Problem):
         return compiled_totals(self, may_sum=False)
 
 
-_FOLLOWS = "failure_budget followed from reach_fraction (solve takes as long as it is given)"
+_FOLLOWS = "failure_budget was computed from reach_fraction (solve has its own time limit)"
 
 
 class FailureBudget:

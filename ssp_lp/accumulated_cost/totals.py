@@ -499,8 +499,8 @@ class Resolution:
 
         Args:
             totals: the present totals.
-            enough: total from which failing is optimal; 0 or infinite: unknown; None: the cap loses
-                nothing.
+            enough: total from which failing is optimal; 0 or infinite: unknown; None: the cap
+                causes no error.
             most: most totals that fit into memory.
         """
         cap, wanted = float(totals.values[-1]), CAP_MARGIN * (enough or 0.0)

@@ -341,7 +341,7 @@ class _Optimum:
         wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
         if wrong.any():
             label = self.measure.program.label(int(own[np.argmax(wrong)]))
-            raise ModelError(f"no derivatives: {label} costs more than its outcomes")
+            raise ModelError(f"no derivatives: the outcomes of {label} do not explain its cost")
         return own[each], outcome, place, worth
 
     @cached_property

@@ -249,11 +249,11 @@ class LayeredPricing(PricingProblem):
         return self._proof(price, 0.0 if slack else price, values, choice)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Return an upper bound of the loss of the dual bound by the cap; 0 if tails are optimal.
+        """Return an upper bound of the dual bound's error by the cap; 0 if tails are optimal.
 
-        The loss is the difference at the start between the bound with the values of the tail
-        policies beyond the cap and the bound with the lower bound there. It is at most the loss of
-        the choice of the second bound: mass beyond the cap times the difference there.
+        The error is the difference at the start between two bounds: with the values of the tail
+        policies beyond the cap, and with the lower bound there. It is at most the error of the
+        choice of the second bound: mass beyond the cap times the difference there.
 
         Args:
             price: of failure.
@@ -311,7 +311,7 @@ class CompiledLayered(CompiledProblem):
     every state where it is possible for sure. A charge that never becomes affine is truncated and
     refined.
 
-    A cap at that price loses (almost) nothing with simple tails: any policy to the goal and the
+    A cap at that price causes (almost) no error with simple tails: any policy to the goal and the
     trivial bound of its goal probability. The exact policies of greatest goal probability are
     computed only if the price is too large for such a cap.
     """
@@ -398,7 +398,7 @@ class CompiledLayered(CompiledProblem):
     def capped_at(self, cost: float) -> CompiledLayered:
         """Return the problem with a cap of about this accumulated cost, if its tails are simple.
 
-        If no policy avoids the goal surely from the start, every cap loses something, and the tails
+        If no policy avoids the goal surely from the start, every cap causes an error, and the tails
         become exact at once.
         """
         if self.tails is not Tails.ANY_WAY:
@@ -625,5 +625,5 @@ class CompiledLayered(CompiledProblem):
         return written_out.chosen_pairs(self.process, required(column.choice), column.tail_price)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Return the part of a bound that the cap loses; 0 if it is proved lossless."""
+        """Return the error of a bound by the cap; 0 if there is proved to be none."""
         return self.pricing().tail_loss(price, slack=slack, proof=proof)

@@ -255,7 +255,7 @@ class CompiledProblem(ABC):
         """
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Return the part of a bound at this price that truncation loses.
+        """Return the error of a bound at this price by truncation.
 
         Args:
             price: of failure.
@@ -404,7 +404,7 @@ class LayerAndTails:
         """Approximate (E[cost; goal], goal) of a policy to the goal, in a large process.
 
         There an evaluation would take longer than a sweep. The tail beyond the cap is then the
-        riskiest policy; if this loses something, the cap is raised or the tails become exact.
+        riskiest policy; if this causes an error, the cap is raised or the tails become exact.
         """
         base, later = self.base, self.base.later
         is_large = base.instant.nnz == 0 and later.nnz >= _LARGE

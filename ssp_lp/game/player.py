@@ -544,7 +544,7 @@ class Player:
 
 
 def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
-    """Extrapolate a larger M, 1.25 to 4 times the last one, that loses at most ``wanted``."""
+    """Extrapolate a larger M, 1.25 to 4 times the last one, with an error of at most ``wanted``."""
     cap = max(lost)
     needed = 2.0 * cap
     smaller = max((c for c in lost if c < cap), default=cap)

@@ -750,7 +750,7 @@ def _traced_by_columns(problem: Problem, limits: _TraceLimits) -> Frontier:
 
 
 def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
-    """Return the relative distance below the frontier that the cap on the cost may lose."""
+    """Return an upper bound of the frontier's relative error by the cap on the cost."""
     if len(traced.price) == 0:
         return 0.0
     lost = np.inf

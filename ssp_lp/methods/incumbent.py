@@ -238,7 +238,7 @@ def broken_limit(
     goal, budget = evaluation.limited_goal, problem.failure_budget
     demanded = budget.demanded if isinstance(budget, GoalShare) else 0.0
     if demanded < RARE_GOAL and goal < demanded * (1.0 - room):
-        return f"the policy reaches the goal with {goal:.12g}, {demanded:.12g} required"
+        return f"the goal probability is {goal:.12g}, {demanded:.12g} required"
     return ""
 
 

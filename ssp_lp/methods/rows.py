@@ -556,7 +556,7 @@ def _infeasible(
     digits = next((d for d in (6, 9, 12) if f"{both[0]:.{d}g}" != f"{both[1]:.{d}g}"), 17)
     least, allowed = (f"{number:.{digits}g}" for number in both)
     if side is not None and side.sign < 0.0:
-        words = f"{side.condition.name!r} is at most {least} under {every}, {allowed} asked for"
+        words = f"{side.condition.name!r} is at most {least} under {every}, {allowed} required"
     elif len(names) == 1:
         words = f"{names[0]!r} is at least {least} under {every}, {allowed} allowed"
     else:

@@ -143,7 +143,9 @@ class Grid:
         """Return the position of each cell along each axis; :class:`ModelError` if unknown."""
         given = np.asarray(cells)
         if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
-            raise ModelError(f"cells are whole numbers, 0 .. {self.n_cells - 1}; ends have others")
+            raise ModelError(
+                f"cells have the whole numbers 0 .. {self.n_cells - 1}; ends are no cells"
+            )
         return np.unravel_index(given, self.shape)
 
     @explained
@@ -354,7 +356,7 @@ class ContinuousModel:
         """Raise :class:`ModelError` for wrong actions, noise or ``outside``."""
         check_fields(self)
         if len(self.actions) == 0 or len(set(self.actions)) < len(self.actions):
-            raise ModelError("a continuous model needs actions, each of them once")
+            raise ModelError("a continuous model needs actions, without repetitions")
         if self.outside is not None and self.outside not in self.dead_ends:
             raise ModelError(f"outside={self.outside!r} is not one of the dead-ends")
         if self.n_states > MOST_STATES:

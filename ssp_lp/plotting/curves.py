@@ -258,7 +258,7 @@ def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = N
     as_solved(solution, "plot_bounds")
     if solution.problem.semantics.counts_law:
         name = type(solution.problem).__name__
-        raise ModelError(f"{name} is solved as a search over problems: no bounds but at its end")
+        raise ModelError(f"{name} is solved by a search over problems: only its end has bounds")
     ax = axes_or_new(ax)
     upper = np.minimum.accumulate([*record.objectives, solution.objective])
     lower = np.maximum.accumulate([*_proved_bounds(record, solution.problem), solution.lower_bound])

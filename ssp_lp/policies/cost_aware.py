@@ -221,7 +221,7 @@ class CostAwarePolicy(Policy):
         )
 
     def _separating(self, levels: FloatArray, costs: FloatArray) -> FloatArray:
-        """Return the tail thresholds that separate two possible totals, increasing.
+        """Return the tail thresholds that lie between possible totals, increasing.
 
         Args:
             levels: increasing, the last one after all layers.

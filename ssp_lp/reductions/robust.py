@@ -247,7 +247,7 @@ def ending(boxes: Boxes, semantics: FailureSemantics) -> tuple[IntArray, FloatAr
         state = model.states[int(np.argmax(rank > 0))]
         raise ModelError(
             f"state {state!r}: the boxes allow probabilities with which a run never ends: use "
-            "give_up='anywhere', or give the outcomes that lead to an end a low above 0"
+            "give_up='anywhere', or raise low above 0 for outcomes that lead to an end"
         )
     decision[may_stop] = GIVE_UP_CODE
     return decision, np.where(may_stop, stopping, entering)

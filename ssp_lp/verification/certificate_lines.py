@@ -127,7 +127,11 @@ def read_proof(lines: Iterator[bytes], *, ratio: bool) -> tuple[Proof, str, int]
         if v is not None:
             proof.v[node] = in_units(v)
         for m, decision, t, *u in told:
-            need(node not in (member := members[whole(m, len(members))]).t, "twice told of", node)
+            need(
+                node not in (member := members[whole(m, len(members))]).t,
+                "a member comes twice at",
+                node,
+            )
             member.decision[node], member.t[node] = whole(decision, LARGE), whole(t, LARGE)
             member.u[node] = list(map(in_units, u))
     need(count == 0, "the file ends within a proof")
@@ -188,7 +192,7 @@ def proved_steps(
         columns, constant = digested(program, digest), program.objective.constant
         done[name] = prove(columns, constant, program.rows, program.follows, proof)
         yield program, proof, done[name], digest.hexdigest()
-    need(next(rest, None) is None, "the file goes on behind its proof")
+    need(next(rest, None) is None, "the file has lines after its proof")
 
 
 def digested(program: Program, digest: Any) -> Iterator[Any]:

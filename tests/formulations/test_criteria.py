@@ -284,7 +284,7 @@ def test_reading_a_budget_of_a_share_ends_soon(monkeypatch):
     monkeypatch.setattr("ssp_lp.problem.budget_of_share", endless)
     monkeypatch.setattr("ssp_lp.problem.READING", 1e-3)
     problem = MCMP(model_of(TWO_MOVES), "x", reach_fraction=0.98)
-    with pytest.raises(OutOfTimeError, match="failure_budget followed from reach_fraction"):
+    with pytest.raises(OutOfTimeError, match="failure_budget was computed from reach_fraction"):
         _ = problem.failure_budget
     assert solve(problem).failure_probability <= 0.02 * (1.0 + 1e-12)
     assert limited == [True, False]
