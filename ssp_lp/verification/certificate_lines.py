@@ -127,9 +127,7 @@ def read_proof(lines: Iterator[bytes], *, ratio: bool) -> tuple[Proof, str, int]
         if v is not None:
             proof.v[node] = in_units(v)
         for m, decision, t, *u in told:
-            need(
-                node not in (member := members[whole(m, len(members))]).t, "a member twice at", node
-            )
+            need(node not in (member := members[whole(m, len(members))]).t, "member twice at", node)
             member.decision[node], member.t[node] = whole(decision, LARGE), whole(t, LARGE)
             member.u[node] = list(map(in_units, u))
     need(count == 0, "the file ends within a proof")

@@ -415,7 +415,7 @@ CHANGES = [
     ("a member", "sure", NODE, _set(2, 0, to=7), "not a whole number below"),
     ("a node", "sure", NODE, _set(0, to=0), "nodes come in their order"),
     ("a node alone", "sure", NODE, lambda c: c.__setitem__(slice(1, 9), [None]), "nodes come"),
-    ("a member's second line", "sure", NODE, lambda c: c.append(c[-1]), "a member twice at"),
+    ("a member's second line", "sure", NODE, lambda c: c.append(c[-1]), "member twice at"),
     ("a member's line", "sure", NODE + 1, lambda c: c.pop(), "decides at each successor"),
 ]  # fmt: skip
 
