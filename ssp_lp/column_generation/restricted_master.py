@@ -145,14 +145,14 @@ class _Program:
         """
         n_rows, n_columns = self.activity.shape
         granted = self.bounds + _ROOM * np.abs(self.bounds)
-        exact = _ExactSimplex(self._entries(granted), self._costs())
+        exact = ExactSimplex(self._entries(granted), self._costs())
         final = exact.solved(basis)
         if final is None:
             final = exact.solved(self._first_basis(granted))
         if final is None:
             return None
         x, dual = exact.values(final), exact.duals(final)
-        stated = _ExactSimplex(self._entries(self.bounds), exact.cost).values(final)
+        stated = ExactSimplex(self._entries(self.bounds), exact.cost).values(final)
         values = np.zeros(len(exact.cost))
         values[final] = [float(max(each, Fraction(0))) for each in stated]
         if min(stated) < 0:  # feasible within the tolerance only: clip at 0 if that stays feasible
@@ -198,7 +198,7 @@ class _Program:
         return [*(slacks - n_rows * self.elastic * (beyond[:, best] > 0.0)).tolist(), best]
 
 
-class _ExactSimplex:
+class ExactSimplex:
     """Simplex in fractions: min ``cost @ x``, ``entries.T @ x == (0, ..., 0, 1)``, x >= 0.
 
     The first variable that may enter or leave is taken (Bland's rule), so that the steps end.

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import gzip
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from hashlib import sha256
 from itertools import islice
 from os import PathLike
@@ -44,7 +44,7 @@ from ssp_lp.solution import Solution, as_solved
 from ssp_lp.verification import certificate_lines as reading
 from ssp_lp.verification.certificate_lines import NOTHING
 from ssp_lp.verification.exact_proof import Decide, Member, Nodes, line_of, proof_of
-from ssp_lp.verification.expand import Program
+from ssp_lp.verification.expand import Program, State
 from ssp_lp.verification.prove import Bounds, RefusedError, number
 
 _CAPS, _NARROW = 12, 1e-10  # number of caps to try, and the relative width that ends the trials
@@ -206,7 +206,18 @@ class Statement:
         self._cost(model)
         self.sets: dict[str, BoolArray] = {}
         self.question = self._question()
-        self.states = list(self._states())
+        if charge is not None and semantics.risk is None and not self.flat.objective_condition:
+            self.question["charge"] = self._steps(charge)
+
+    @cached_property
+    def states(self) -> list[bytes]:
+        """Lines of the model's states."""
+        return list(self._states())
+
+    @cached_property
+    def model(self) -> list[State]:
+        """The model's states, as the checker reads them from their lines."""
+        return [reading.read_state(line, self.question) for line in self.states]
 
     def lines(self) -> list[bytes]:
         """Return the lines of the question and of the model, one for each state."""
@@ -215,13 +226,13 @@ class Statement:
     def _question(self) -> dict[str, Any]:
         """Return the question in the certificate's format."""
         problem, semantics, flat = self.problem, self.problem.semantics, self.flat
-        objective, charge = flat.objective_condition, self.charge
+        objective = flat.objective_condition
         penalty = 0.0 if semantics.forbids_failing else semantics.penalty
         sought: dict[str, Any] = {"constant": text_of(penalty), "terms": [["1", "cost", 0]]}
         sought["terms"] += [[f"-{text_of(penalty)}", "end", "goal"]] if penalty > 0.0 else []
         if objective is not None:
-            sought, charge = self._quantity(objective, problem.quantity), None
-        elif charge is not None:
+            sought = self._quantity(objective, problem.quantity)
+        elif self.charge is not None:
             worth = semantics.failing_worth if semantics.maximises else 0.0
             sought = {"constant": text_of(worth), "terms": []}
         elif semantics.aim is not Aim.LEAST_COST:
@@ -244,7 +255,7 @@ class Statement:
             failure = "least" if budget is None else text_of(max(budget, 0.0))
             failure = None if budget is not None and budget >= 1.0 else failure
         greatest = semantics.aim is Aim.GREATEST_GOAL or semantics.maximises
-        question = {
+        return {
             "format": reading.FORMAT,
             "states": flat.model.n_states,
             "costs": len(self.costs),
@@ -262,11 +273,8 @@ class Statement:
             "charge": [],
             "quantile": None if semantics.risk is None else text_of(semantics.risk.level),
         }
-        if charge is not None and semantics.risk is None:
-            question["charge"] = self._steps(question, charge)
-        return question
 
-    def _steps(self, question: dict[str, Any], charge: Charge) -> list[list[str]]:
+    def _steps(self, charge: Charge) -> list[list[str]]:
         """Return a charge as steps, one at each total at the goal if the charge is not linear."""
         if isinstance(charge, TotalCostCharge):
             return _TOTAL
@@ -280,7 +288,7 @@ class Statement:
             if charge.offset - float(charge.at(np.array([float(most)]))[0]) <= _USED_UP * worth:
                 break
             most *= 2
-        totals = [t for t in goal_totals(question, self._states(), most + 1) if t <= most]
+        totals = [t for t in goal_totals(self.question, self, most + 1) if t <= most]
         values = (sign * charge.at(np.array(list(map(float, totals))))).tolist()
         steps = [[">=", str(t), text_of(v), "0"] for t, v in zip(totals, values, strict=True)]
         if isinstance(charge, ExpectedArrivalCost):
@@ -356,30 +364,22 @@ def text_of(value: float | Fraction) -> str:
     return repr(float(value)).removesuffix(".0")
 
 
-def program_of(
-    asked: dict[str, Any], lines: Sequence[bytes], cap: Fraction = Fraction(0)
-) -> Program:
+def program_of(asked: dict[str, Any], statement: Statement, cap: Fraction = Fraction(0)) -> Program:
     """Build the program of a step's question.
 
     Raises:
         ModelError: the program has too many nodes, or the question is refused.
     """
     try:
-        states = [reading.read_state(line, asked) for line in lines]
-        return Program(asked, lambda: states, str(cap), _MOST_NODES)
+        return Program(asked, lambda: statement.model, str(cap), _MOST_NODES)
     except RefusedError as error:
         raise ModelError(f"no certificate file: {error}") from error
 
 
-def goal_totals(question: dict[str, Any], states: Iterable[bytes], cap: Fraction) -> list[Fraction]:
+def goal_totals(question: dict[str, Any], statement: Statement, cap: Fraction) -> list[Fraction]:
     """Return 0 and the totals at which a last step from below a cap can reach the goal."""
-    any_failure = {
-        **question,
-        "failure": (Fraction(1), Fraction(1)),
-        "charge": _TOTAL,
-        "greatest": False,
-    }
-    program = program_of(any_failure, list(states), cap)
+    any_failure = {"failure": (Fraction(1), Fraction(1)), "charge": _TOTAL, "greatest": False}
+    program = program_of({**question, **any_failure}, statement, cap)
     ends = {r + t for x, r in program.place for action in program.model[x].actions
             for _, y, t in action.outcomes if y in program.graph.goal}  # fmt: skip
     return [Fraction(total, program.unit) for total in sorted(ends | {0})]
@@ -461,23 +461,23 @@ def certificate_of(solution: Solution) -> list[bytes]:
     question, answer, done = statement.question, None, dict[str, Bounds]()
     if question["quantile"] is not None:
         near = Fraction(text_of(solution.objective))
-        totals = goal_totals(question, statement.states, near + 1)
+        totals = goal_totals(question, statement, near + 1)
         answer = str(min(totals, key=lambda total: abs(total - near)))
     lines = [*statement.lines(), line_of({"answer": answer})]
     for step in reading.steps_of(question):
         asked = reading.stated(question, step, answer, done)
-        proof, done[step] = _best_proof(asked, statement.states, solved, step)
+        proof, done[step] = _best_proof(asked, statement, solved, step)
         lines += proof
     return lines
 
 
 def _best_proof(
-    asked: dict[str, Any], states: Sequence[bytes], solved: Solution, step: str
+    asked: dict[str, Any], statement: Statement, solved: Solution, step: str
 ) -> tuple[list[bytes], Bounds]:
     """Return the best proof of a program, doubling the cap until the interval is narrow."""
     cap, widths = _first_cap(asked, solved), [math.inf]
     for _ in range(_CAPS):
-        nodes = Nodes(program_of(asked, states, cap), len(states))
+        nodes = Nodes(program_of(asked, statement, cap), len(statement.model))
         first, prices = list[Member](), [Fraction(0)] * len(nodes.program.rows)
         if step != "least":
             policy = solved.policy

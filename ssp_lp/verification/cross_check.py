@@ -12,14 +12,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from itertools import combinations, permutations
 from math import inf, isnan
 from typing import Any
 
 import numpy as np
 
-from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
-from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray
+from ssp_lp.analysis.evaluation import evaluate_each
+from ssp_lp.arrays import LEAST_BUDGET, FloatArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, SSPError, check_between_0_and_1
 from ssp_lp.methods.approaches import refusal
 from ssp_lp.model.arguments import explained
@@ -41,25 +42,11 @@ M, which an interior point solves in seconds, and one to two million in case S, 
 
 
 @dataclass(frozen=True, eq=False)
-class EvaluatedSolution:
-    """A solution, with its policy evaluated on the model."""
-
-    solution: Solution
-    evaluation: Evaluation
-    members: FloatArray  # [members, 3] weight, J_obj, and J_cond, the failure that is limited
-
-    def overrun(self, budget: float) -> float:
-        """Return the excess of the policy's failure over a budget; 0 within rounding of it."""
-        spent = self.evaluation.limited_failure
-        return 0.0 if spent <= budget + LEAST_BUDGET else spent - budget
-
-
-@dataclass(frozen=True, eq=False)
 class MethodResult:
     """Result of one method in a cross-check: an answer, or a note that says why there is none."""
 
     name: str
-    answer: EvaluatedSolution | None = None
+    answer: Solution | None = None
     note: str = ""
     error: SSPError | None = None  # the error in which the method ended
     seconds: float | None = None
@@ -67,40 +54,33 @@ class MethodResult:
     @property
     def objective(self) -> float | None:
         """The optimum c*; None without an answer."""
-        return None if self.answer is None else self.answer.solution.objective
+        return None if self.answer is None else self.answer.objective
+
+    @cached_property
+    def members(self) -> FloatArray:
+        """Weight, J_obj, and J_cond, the failure that is limited, of each policy, [members, 3]."""
+        if (one := self.answer) is None:
+            return np.zeros((0, 3))
+        each = evaluate_each(one.policy, one.problem)[1]
+        failures = np.array([member.limited_failure for member in each])
+        costs = np.array([member.objective for member in each])
+        if one.problem.ratio:  # J_obj is E[cost; goal]
+            costs = np.where(failures < 1.0, costs, 0.0) * (1.0 - failures)
+        return np.column_stack([one.policy.weights, costs, failures])
 
     def row(self) -> tuple[str | float | None, ...]:
         """Return the method's row of the table, in the order of its columns."""
-        if self.answer is None:
+        if (one := self.answer) is None:
             return (self.name, *[None] * (len(_COLUMNS) - 2), self.seconds)
-        solution, evaluation = self.answer.solution, self.answer.evaluation
-        return (
-            self.name,
-            solution.objective,
-            solution.lower_bound,
-            solution.gap,
-            solution.adversary_weight,
-            solution.failure_price,
-            evaluation.failure_probability,
-            evaluation.discounted_failure,
-            evaluation.expected_cost,
-            evaluation.conditional_cost,
-            self.seconds,
-        )
+        return (self.name, one.objective, one.lower_bound, one.gap, one.adversary_weight,
+                one.failure_price, one.failure_probability, one.discounted_failure,
+                one.expected_cost, one.conditional_cost, self.seconds)  # fmt: skip
 
 
 def result_of(name: str, solution: Solution) -> MethodResult:
-    """Evaluate a solution's policy and its members on the model, as a row of the cross-check."""
-    evaluation, each = evaluate_each(solution.policy, solution.problem)
-    members = []
-    for member, weight in zip(each, solution.policy.weights.tolist(), strict=True):
-        failure, cost = member.limited_failure, member.objective
-        if solution.problem.ratio:  # J_obj is E[cost; goal]
-            cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
-        members.append((weight, cost, failure))
+    """Return a solution as a result of the cross-check, with the notes on how it was found."""
     note = "; ".join(part for part in (solution.note, solution.run.program) if part)
-    answer = EvaluatedSolution(solution, evaluation, np.array(members))
-    return MethodResult(name, answer, note, seconds=solution.seconds)
+    return MethodResult(name, solution, note, seconds=solution.seconds)
 
 
 def result_by(
@@ -218,7 +198,7 @@ class CrossCheck(Report):
         notes = []
         for one in self.methods:
             if one.answer is not None:
-                lottery = (f"{w:.6f} x ({c:.9g}, {f:.6g})" for w, c, f in one.answer.members)
+                lottery = (f"{w:.6f} x ({c:.9g}, {f:.6g})" for w, c, f in one.members)
                 notes.append(f"{one.name}: {' + '.join(lottery)}")
         notes += [f"{one.name}: {one.note}" for one in self.methods if one.note]
         notes += self.remarks
@@ -330,19 +310,19 @@ def compare_methods(
         """Return whether two costs are equal within the tolerance."""
         return distance(one, other) <= tolerance
 
-    findings = dict[str, str]()  # method -> objection
+    findings, overrun = dict[str, str](), 0.0  # method -> objection
     for name, answer in answers.items():  # errors that need no second method
-        stated, attained = answer.solution.objective, answer.evaluation.objective
-        if (overrun := answer.overrun(budget)) > 0.0:
-            findings[name] = f"its policy breaks the budget by {overrun:.1e}"
+        stated, attained = answer.objective, answer.evaluation.objective
+        if (spent := answer.evaluation.limited_failure) > budget + LEAST_BUDGET:
+            overrun = max(overrun, spent - budget)
+            findings[name] = f"its policy breaks the budget by {spent - budget:.1e}"
         elif not agree(stated, attained):
             findings[name] = f"it states c* = {stated:.12g}, but its policy attains {attained:.12g}"
     sound = {name: answer for name, answer in answers.items() if name not in findings}
-    solutions = {name: answer.solution for name, answer in sound.items()}
-    proved = {n: one for n, one in solutions.items() if agree(one.objective, one.lower_bound)}
-    if _spread(solutions.values()) > weight_tolerance:
-        for name in solutions.keys() - proved.keys():
-            missed = f"the bound misses c* by {solutions[name].gap:.1e}"
+    proved = {name: one for name, one in sound.items() if agree(one.objective, one.lower_bound)}
+    if _spread(sound.values()) > weight_tolerance:
+        for name in sound.keys() - proved.keys():
+            missed = f"the bound misses c* by {sound[name].gap:.1e}"
             findings[name] = f"its price is not proved: {missed}"
     if answers:
         findings |= _infeasibility_objections(methods, budget)
@@ -358,10 +338,10 @@ def compare_methods(
 
     return CrossCheck(
         methods=tuple(methods),
-        objective_distance=widest(one.solution.objective for one in answers.values()),
-        weight_distance=_spread(one.solution for one in answers.values()),
+        objective_distance=widest(one.objective for one in answers.values()),
+        weight_distance=_spread(answers.values()),
         evaluated_distance=widest(one.evaluation.objective for one in answers.values()),
-        budget_overrun=max((one.overrun(budget) for one in answers.values()), default=0.0),
+        budget_overrun=overrun,
         disagreeing=named,
         remarks=tuple(remarks),
     )
@@ -386,7 +366,7 @@ def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) ->
 
 
 def _mutual_objections(
-    answers: Mapping[str, EvaluatedSolution], agree: Callable[[float, float], bool]
+    answers: Mapping[str, Solution], agree: Callable[[float, float], bool]
 ) -> dict[str, str]:
     """Return objections to methods outside the majority, or with a bound above a known value.
 
@@ -395,7 +375,7 @@ def _mutual_objections(
         agree: whether two costs are equal within the tolerance.
     """
     findings = dict[str, str]()
-    costs = {name: answer.solution.objective for name, answer in answers.items()}
+    costs = {name: answer.objective for name, answer in answers.items()}
     near = [[name for name, cost in costs.items() if agree(own, cost)] for own in costs.values()]
     majority = max(near, key=len, default=[])
     if len(majority) == 1 < len(costs):
@@ -404,7 +384,7 @@ def _mutual_objections(
         reason = f"its c* differs from that of {', '.join(sorted(majority))}"
         findings = dict.fromkeys(costs.keys() - set(majority), reason)
     for name, other in permutations(answers, 2):
-        low, value = answers[name].solution.lower_bound, answers[other].evaluation.objective
+        low, value = answers[name].lower_bound, answers[other].evaluation.objective
         if low > value and not agree(low, value):
             findings[name] = (
                 f"its lower bound {low:.12g} exceeds the {value:.12g} that the policy of {other} "
@@ -426,7 +406,7 @@ def second_reading(problem: Problem) -> SecondReading | None:
     statement, total = Statement(problem), {"constant": "0", "terms": [["1", "cost", 0]]}
     always: dict[str, Any] = {"failure": (Fraction(1), Fraction(1)), "discount": None, "rows": []}
     asked = {**statement.question, **always, "objective": total, "charge": [], "greatest": False}
-    apart = program_of(asked, statement.states)
+    apart = program_of(asked, statement)
     dead, nobody = hopeless_states(model), np.zeros(model.n_states, dtype=np.bool_)
     entering = dead_end_charges(model, dead, semantics)
     stopping = give_up_charges(model, nobody, semantics)
@@ -434,23 +414,16 @@ def second_reading(problem: Problem) -> SecondReading | None:
     waits = costless_pairs(model) & ~dead[model.pair_state]  # for ever, or until it can leave
     left = np.bincount(model.pair_state[waits], minlength=model.n_states)
     drain(model, waits, left, np.flatnonzero(left == 0))
-    wandering = left > 0
     faults: list[str] = []
-
-    def compare(part: str, ours: BoolArray, theirs: set[int]) -> int:
-        """Count the states of a kind, and note the first state on which the readings differ."""
-        told = nobody.copy()
-        told[sorted(theirs)] = True
-        for x in np.flatnonzero(told != ours)[:1].tolist():
+    kinds = {
+        "a dead-end": (dead, apart.dead),
+        "a state to give up in": (may_stop, apart.giving_up),
+        "a state where wandering is free": (left > 0, apart.waiting),
+    }
+    for part, (ours, theirs) in kinds.items():
+        for x in sorted(theirs.symmetric_difference(np.flatnonzero(ours).tolist()))[:1]:
             where, word = repr(model.states[x]), "is" if ours[x] else "is not"
             faults.append(f"{where} {word} {part}, the second reading says otherwise")
-        return int(ours.sum())
-
-    counts = (
-        compare("a dead-end", dead, apart.dead),
-        compare("a state to give up in", may_stop, apart.giving_up),
-        compare("a state where wandering is free", wandering, apart.waiting),
-    )
     charged = np.where(dead, entering, np.where(may_stop, stopping, 0.0))
     for x in sorted(apart.dead | apart.giving_up):
         own, other = charged[x], float(apart.charges.get(x, [Fraction(0)])[0])
@@ -458,4 +431,5 @@ def second_reading(problem: Problem) -> SecondReading | None:
             faults.append(f"failing in {model.states[x]!r} charges {own:.12g}, by the second "
                           f"reading {other:.12g}")  # fmt: skip
             break
-    return SecondReading(*counts, tuple(faults))
+    dead_ends, giving_up, free = (int(ours.sum()) for ours, _ in kinds.values())
+    return SecondReading(dead_ends, giving_up, free, tuple(faults))

@@ -26,6 +26,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ssp_lp.arrays import offsets_of
+from ssp_lp.column_generation.restricted_master import ExactSimplex
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
@@ -91,10 +92,10 @@ class Nodes:
             [k - first[x] for k in range(first[x], first[x + 1]) if keeps[k]] for x in range(n)
         ]
         for column in program.columns():
-            if column.node in self.where:
+            if column.node in self.where and program.size > _MANY:
                 break  # too many to store: `at` builds them
             self.kept[column.node].append(column)
-        every: Iterable[int] = [*self.kept, *self.where]
+        every = self.kept.keys() | self.where.keys()
         if not self.where:
             every = _closure([0], lambda i: (j for c in self.kept[i] for _, j in c.moves))
         blocks = defaultdict[tuple[int, int, int], list[int]](list)
@@ -108,7 +109,7 @@ class Nodes:
 
     def at(self, node: int) -> list[Column]:
         """Return the columns of a node."""
-        if node not in self.where:
+        if node in self.kept or node not in self.where:
             return self.kept[node]
         x, r = self.where[node]
         return list(self.program.decisions(node, x, self.program.model[x].actions, r))
@@ -126,11 +127,10 @@ class Nodes:
         for block in self.blocks:
             columns = [column for i in block for column in self.at(i)]
             ways = _ways_of(columns, (priced(column.counts) for column in columns), value)
-            best = _connected(ways) if any(way.outcomes for way in ways) else _least(ways)
-            position = _positions(columns)
-            for i, (least, w) in zip(block, best, strict=True):
+            first = {column.node: w for w, column in reversed([*enumerate(columns)])}
+            for i, (least, w) in zip(block, _best_of_block(ways), strict=True):
                 value[i] = max(least, 0) if i in self.program.follows else least
-                self.last[i] = position[w]
+                self.last[i] = w - first[i]
         return value
 
     def stop(self, node: int, *, must_wait: bool = False) -> int:
@@ -184,7 +184,7 @@ class Nodes:
             steps |= zip(at, solved(_ways_of(some, repeat(Fraction(-ONE)), steps)), strict=True)
             for q, known in enumerate(u):
                 ways = _ways_of(some, (-column.counts[q] * ONE for column in some), known)
-                known |= zip(at, _lowered(ways), strict=True)
+                known |= zip(at, sub_solution(ways, range(len(ways)))[1], strict=True)
         # whole numbers: rounding each t up adds less than 1 + widest to its successors' mean
         t = {i: -(step * 2 * (1 + widest) // ONE) for i, step in steps.items()}
         kept = {i: decision[i] for i in met}
@@ -221,20 +221,13 @@ def _ways_of(
     return ways
 
 
-def _least(ways: Sequence[_Way]) -> list[tuple[int, int]]:
-    """Return the least cost of each node, and the way that has it, if no way has outcomes."""
-    best = dict[int, tuple[int, int]]()
-    for w, way in enumerate(ways):
-        worth = way.own // way.total // _PARTS * _PARTS, w
-        best[way.node] = min(best.get(way.node, worth), worth)
-    return list(best.values())
-
-
-def _connected(ways: Sequence[_Way]) -> list[tuple[int, int]]:
-    """Return the value of each node of a block with cycles, and a best way from it.
+def _best_of_block(ways: Sequence[_Way]) -> Iterable[tuple[int, int]]:
+    """Return the value of each node of a block, and a best way from it.
 
     The nodes of a free end component have one value, since its cycles give no inequality.
     """
+    if not any(way.outcomes for way in ways):
+        return ((value, w) for w, value in zip(*sub_solution(ways, ()), strict=True))
     size = ways[-1].node + 1
     dynamics = _dynamics_of(ways, size)
     free = (dynamics.exits == 0.0) & np.array([way.own == 0 for way in ways])
@@ -254,33 +247,25 @@ def _connected(ways: Sequence[_Way]) -> list[tuple[int, int]]:
     return [(values[g], w) for g, w in zip(group, nearer, strict=True)]
 
 
-def _lowered(ways: Sequence[_Way]) -> list[int]:
-    """Return lower bounds of values with one way for each node, in few digits."""
-    if not any(way.own for way in ways):
-        return [0] * len(ways)
-    if not any(way.outcomes for way in ways):
-        return [way.own // way.total // _PARTS * _PARTS for way in ways]
-    return sub_solution(ways, range(len(ways)))[1]
-
-
-def _positions(columns: Sequence[Column]) -> list[int]:
-    """Return each column's position among the columns of its node, which are adjacent."""
-    first = dict[int, int]()
-    return [n - first.setdefault(column.node, n) for n, column in enumerate(columns)]
-
-
 def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[int], list[int]]:
     """Return a best choice, and values v <= own + mean v for all ways, near the greatest ones.
 
     Args:
         ways: ways of all nodes.
-        choice: a way for each node, such that every node is left eventually.
+        choice: a way for each node, such that every node is left eventually; any if no way has
+            outcomes.
     """
+    if not any(way.outcomes for way in ways):
+        best = dict[int, tuple[int, int]]()
+        for w, way in enumerate(ways):
+            worth = way.own // way.total // _PARTS * _PARTS, w
+            best[way.node] = min(best.get(way.node, worth), worth)
+        return [w for _, w in best.values()], [value for value, _ in best.values()]
+    if not any(way.own for way in ways):
+        return choice, [0] * len(choice)
     choice, values, room = best_values(ways, choice)
     short = [(value + _ROUNDING // 2) // _ROUNDING * _ROUNDING for value in values]
-    if all(
-        short[w.node] * w.total <= w.own + sum(a * short[j] for a, j in w.outcomes) for w in ways
-    ):
+    if not _too_high(ways, short):
         return choice, short  # decimals, which are exact
     lost = max(max(map(abs, values)) // _LOST, 4 * _ROUNDING)
     tied = sorted({n for n, spare in enumerate(room) if spare <= lost}.union(choice))
@@ -290,30 +275,25 @@ def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[
     share = max(lost * ONE // (4 * (ONE - min(steps))), 8)
     grid = 10 ** (len(str(share // 4)) - 1)
     lowered = [(v + share * n // ONE) // grid * grid for v, n in zip(values, steps, strict=True)]
-    return choice, _ended_exactly(ways, lowered, 2 * lost)
-
-
-def _ended_exactly(ways: Sequence[_Way], values: list[int], room: int) -> list[int]:
-    """Raise values to the cost of ending at once, if the increase is at most ``room``.
-
-    If failure is not limited, a ratio needs the value of failing surely to the last digit.
-    """
-    ends = dict[int, int]()
+    # if failure is not limited, a ratio needs the value of failing surely to the last digit:
+    ends = dict[int, int]()  # the cost of ending at once, which values reach where they may
     for way in ways:
         if not way.outcomes:
             end = way.own // way.total
             ends[way.node] = min(ends.get(way.node, end), end)
-    ends = {i: end for i, end in ends.items() if 0 < end - values[i] <= room}
+    ends = {i: end for i, end in ends.items() if 0 < end - lowered[i] <= 2 * lost}
     while ends:
-        raised = [ends.get(i, value) for i, value in enumerate(values)]
-        wrong = {
-            way.node for way in ways if way.node in ends and
-            raised[way.node] * way.total > way.own + sum(a * raised[j] for a, j in way.outcomes)
-        }  # fmt: skip
-        if not wrong:
-            return raised
+        raised = [ends.get(i, value) for i, value in enumerate(lowered)]
+        if not (wrong := ends.keys() & _too_high(ways, raised)):
+            return choice, raised
         ends = {i: end for i, end in ends.items() if i not in wrong}
-    return values
+    return choice, lowered
+
+
+def _too_high(ways: Sequence[_Way], values: Sequence[int]) -> set[int]:
+    """Return the nodes whose value exceeds the cost of a way from there."""
+    return {node for node, total, outcomes, own in ways
+            if values[node] * total > own + sum(a * values[j] for a, j in outcomes)}  # fmt: skip
 
 
 def best_values(
@@ -397,7 +377,7 @@ def best_lottery(
 ) -> _Lottery:
     """Solve the master program: weights >= 0 of members, of least objective or ratio, within rows.
 
-    The simplex method runs in fractions with Bland's rule, so that it always ends.
+    If no lottery satisfies the rows, the weight that is missing from a lottery is minimised.
 
     Args:
         members: objective and row values of each member, [members][1 + rows].
@@ -406,34 +386,27 @@ def best_lottery(
         ratio: whether the objective is divided by 1 - row 0.
     """
     n, size = len(members), len(rows)
-    beyond = [[one[1 + k] - row.least - room * min(abs(row.least), Fraction(1)) for one in members]
-              for k, row in enumerate(rows)]  # fmt: skip
-    # columns: members, a slack for each row, the artificial variable of the sum, the right side
-    table = [[*row, *(Fraction(k == j) for j in range(size)), ZERO, ZERO]
-             for k, row in enumerate(beyond)]  # fmt: skip
-    table.append([*(1 - ratio * one[1] for one in members), *[ZERO] * size, *[Fraction(1)] * 2])
-    basis, missing = list(range(n, n + size + 1)), [ZERO] * (n + size) + [Fraction(1)]
-    for objective in (missing, [*(one[0] for one in members), *[ZERO] * (size + 1)]):
-        while True:
-            paid = [objective[b] for b in basis]
-            columns = list(zip(*table, strict=True))[: n + size]
-            reduced = [objective[j] - sum(map(mul, paid, column), ZERO)
-                       for j, column in enumerate(columns)]  # fmt: skip
-            entering = next((j for j, saved in enumerate(reduced) if saved < 0), -1)
-            if entering < 0:
-                break
-            leaving = min((i for i, row in enumerate(table) if row[entering] > 0),
-                          key=lambda i: (table[i][-1] / table[i][entering], basis[i]))  # fmt: skip
-            pivot = [a / table[leaving][entering] for a in table[leaving]]
-            table = [pivot if i == leaving else
-                     [a - row[entering] * b for a, b in zip(row, pivot, strict=True)]
-                     if row[entering] else row for i, row in enumerate(table)]  # fmt: skip
-            basis[leaving] = entering
-        value, prices = sum(map(mul, paid, (row[-1] for row in table)), ZERO), reduced[n:]
-        if objective is missing and value:
-            return _Lottery([], prices, value)
-    found = {b: row[-1] for row, b in zip(table, basis, strict=True)}
-    return _Lottery([found.get(m, ZERO) for m in range(n)], prices, value)
+    entries = [
+        [*(one[1 + k] - row.least - room * min(abs(row.least), Fraction(1))
+           for k, row in enumerate(rows)), 1 - ratio * one[1]] for one in members
+    ]  # fmt: skip
+    units = [[Fraction(j == k) for j in range(size + 1)] for k in range(size + 1)]
+    costs, unpaid = [one[0] for one in members], [ZERO] * size
+    goal = {m: entry[-1] for m, entry in enumerate(entries) if entry[-1] > 0}
+    if goal:  # the cheapest member and all slacks are dual feasible
+        begin = min(goal, key=lambda m: costs[m] / goal[m])
+        master = ExactSimplex([*entries, *units[:size]], [*costs, *unpaid])
+        if basis := master.solved([*range(n, n + size), begin]):
+            weights, duals = (
+                dict(zip(basis, master.values(basis), strict=True)),
+                master.duals(basis),
+            )
+            drawn = [weights.get(m, ZERO) for m in range(n)]
+            return _Lottery(drawn, [-dual for dual in duals[:size]], duals[size])
+    # the last unit vector is the weight that is missing
+    master = ExactSimplex([*entries, *units], [*[ZERO] * n, *unpaid, Fraction(1)])
+    duals = master.duals(master.solved(range(n, n + size + 1)) or ())
+    return _Lottery([], [-dual for dual in duals[:size]], Fraction(1))
 
 
 def lower_bound(

@@ -27,7 +27,7 @@ def optimum(problem, cap=0):
     """The optimum of the expanded program, solved by scipy; a ratio by scaling its goal to 1."""
     statement = Statement(problem)
     asked = certificate_lines.stated(statement.question, "main", None, {})
-    program = program_of(asked, statement.states, Fraction(cap))
+    program = program_of(asked, statement, Fraction(cap))
     columns = list(program.columns())
     entries = [(column.node, j, 1.0) for j, column in enumerate(columns)]
     entries += [(i, j, -a / one.total) for j, one in enumerate(columns) for a, i in one.moves]
