@@ -33,6 +33,7 @@ from ssp_lp.errors import (
     SolverError,
     SSPError,
     check_whole,
+    did_you_mean,
     in_short,
     is_number,
 )
@@ -94,6 +95,12 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
     if both := known & {*signature(criterion).parameters} & named.keys():
         raise ModelError(f"{min(both)!r} names a parameter of the model and an argument of the "
                          "criterion: rename the parameter")  # fmt: skip
+    taken = signature(criterion).parameters.values()
+    if known and not any(part.kind is part.VAR_KEYWORD for part in taken):
+        names = [*known, *(part.name for part in taken)]
+        for name in (name for name in named if name not in names):
+            told = did_you_mean(name, names, "there are")
+            raise ModelError(f"neither a parameter of the model nor an argument: {name!r}{told}")
     for chosen in combinations(*swept):
         arguments: dict[Any, Any] = dict(zip(labels, chosen, strict=True))
         moved = {name: arguments.pop(name) for name in labels if name in known}

@@ -178,6 +178,13 @@ def is_amount(value: object) -> TypeGuard[float]:
     return is_number(value) and 0.0 <= float(value) < math.inf
 
 
+def as_percentage(share: object) -> str:
+    """Return a hint for a share above 1 that may be a percentage."""
+    if not (is_number(share) and 1.0 < share <= 100.0):
+        return ""
+    return f"; did you mean {float(share) / 100.0:.12g}?"
+
+
 def check_between_0_and_1(name: str, value: object, hint: str = "") -> None:
     """Raise :class:`ModelError`, naming the argument, unless it lies strictly between 0 and 1."""
     if not (is_number(value) and 0.0 < float(value) < 1.0):

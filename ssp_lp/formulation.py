@@ -31,6 +31,7 @@ from ssp_lp.column_generation.compiled_problem import CompiledExplicit, Compiled
 from ssp_lp.errors import (
     InfeasibleError as InfeasibleError,
     ModelError as ModelError,
+    as_percentage as as_percentage,
     attributes_of,
     check_call,
     check_whole,
@@ -68,7 +69,6 @@ from ssp_lp.processes.failure_semantics import (
     Aim as Aim,
     FailureSemantics as FailureSemantics,
     GiveUp as GiveUp,
-    as_percentage as as_percentage,
     check_failure_setting,
     check_penalty as check_penalty,
     parse_give_up,

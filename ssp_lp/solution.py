@@ -31,6 +31,7 @@ from ssp_lp.model.report import ByName, Facts, Table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.chain import reached_table
+from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED, Policy, as_lottery
 from ssp_lp.policies.remembering import Default, acting_everywhere
 from ssp_lp.policies.table import PolicyTable
@@ -167,8 +168,9 @@ class Solution(Facts, ReadOnlyCopies):
         """Return the derivatives of the optimum by each probability, cost, bound and start.
 
         They are computed from visits and values of the problem's program, which is solved for this
-        purpose. If several lotteries or prices are optimal, the left and the right derivative of a
-        number may differ; the program is then solved four times for this number.
+        purpose. If several lotteries are optimal, the left and the right derivative may differ:
+        they are the extremes over all optimal lotteries. If several prices are optimal, the program
+        is solved six more times for each number.
 
         Args:
             by: maps a :class:`Number` to a group. The numbers of a group change together, since one
@@ -195,7 +197,9 @@ class Solution(Facts, ReadOnlyCopies):
               cost of alley in depot                4    0.444444   1.77778
               chance of wreck by road in depot   0.01     30.8642  0.308642
         """
-        return what_if(self.problem, by, time_limit=time_limit)
+        own = (p for p in self.policy.policies if isinstance(p, CostAwarePolicy))
+        cap = max((p.last_total for p in own), default=0.0)
+        return what_if(self.problem, by, time_limit=time_limit, cap=cap)
 
     @explained
     def policy_everywhere(

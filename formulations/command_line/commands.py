@@ -386,7 +386,8 @@ def _solve_command(asked: Asked) -> Iterable[str]:
     if asked["json"]:
         return json_answer(_solution_in_json(solution))
     decisions = ["", str(solution.policy_table())] if asked["show_policy"] else []
-    return [solution.summary(), *decisions]
+    forbids = str(Argument("give_up", "dead_ends")), option("give_up", "dead_ends")
+    return [solution.summary().replace(*forbids), *decisions]
 
 
 _WORTH_PROCESSES = 100_000  # outcomes of a model that takes longer to solve than a process to start

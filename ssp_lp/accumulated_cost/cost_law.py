@@ -21,10 +21,9 @@ from ssp_lp.accumulated_cost.arrivals import (
 )
 from ssp_lp.accumulated_cost.charges import Utility, utilities
 from ssp_lp.arrays import QUANTILE, FloatArray
-from ssp_lp.errors import ModelError, in_short, wrong_argument
+from ssp_lp.errors import ModelError, as_percentage, in_short, wrong_argument
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies.chain import Chain
-from ssp_lp.processes.failure_semantics import as_percentage
 
 _UTILITY_LEFT = 1e-13  # relative error of an expected utility at which following ends
 _MOST_SUMS = 10_000  # most sums followed one by one, some seconds

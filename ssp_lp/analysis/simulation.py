@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
     segment_ids,
     segment_minima,
 )
-from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
+from ssp_lp.errors import ModelError, as_percentage, check_between_0_and_1, check_whole
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.continuous_model import Moved, World, WorldSimulator
@@ -38,7 +38,7 @@ from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem, on_one_model
-from ssp_lp.processes.failure_semantics import GiveUp, as_percentage
+from ssp_lp.processes.failure_semantics import GiveUp
 
 
 class Estimate(NamedTuple):

@@ -11,8 +11,11 @@ moving probability from outcome o to o', x * (worth(o') - worth(o)); for a cost,
 for a bound, minus its price; for the start, a difference of values. In case S the same holds at
 each accumulated cost, with -c* as the value of the goal, divided by the goal probability.
 
-If several lotteries or prices are optimal, the formula is evaluated at nearby numbers on both
-sides, and checked against differences of the optimum.
+If the prices are unique but several lotteries are optimal, the derivative to the right is the least
+value of the formula over all optimal lotteries, and that to the left the greatest (Danskin's
+theorem; the reverse for a maximum). Each is a linear program over the optimal actions. If several
+prices are optimal, the formula is evaluated at nearby numbers on both sides, and checked against
+differences of the optimum.
 """
 
 from __future__ import annotations
@@ -60,6 +63,7 @@ from ssp_lp.programs.occupation_measure import (
 
 _STEP = 1e-5  # to the nearby numbers at which one-sided derivatives are evaluated
 _AGREES = 1e-4  # relative difference of a one-sided derivative and of optima
+_JUMP = 1e-4  # least relative change of the optimum within a step of 1e-5 that is called a jump
 _ACCURACY = 1e-6  # relative: of breakpoints, and of worths of outcomes that make up a value
 _BEYOND = 1e-12  # probability of success beyond the last total that is distinguished
 _FIRST_CAP, _LAST_CAP = 16.0, 5000.0  # of distinguished totals, in greatest costs of a step
@@ -184,12 +188,18 @@ class _Optimum:
 
     problem: Problem  # the one that is solved
     measure: OccupationMeasure
+    cap: float = 0.0  # in case S the greatest total that is distinguished
 
     @classmethod
-    def of(cls, problem: Problem) -> _Optimum:
+    def of(cls, problem: Problem, cap: float = 0.0, near: _Optimum | None = None) -> _Optimum:
         """Solve the problem's program.
 
         In case S totals are distinguished up to a total beyond which no run succeeds.
+
+        Args:
+            problem: the problem.
+            cap: in case S a guess of that total; 0: none.
+            near: optimum of a problem with nearby numbers, from which the solver starts.
 
         Raises:
             InfeasibleError: no policy satisfies the limits.
@@ -197,15 +207,17 @@ class _Optimum:
             Stop: the deadline has passed.
         """
         solved = problem.unrolled
+        begun = None if near is None else near.measure
         if not solved.ratio:
-            return cls(solved, _vertex_in_time(solved))
+            return cls(solved, _vertex_in_time(solved, begun))
         most = max(float(solved.model.costs.max(initial=0.0)), 1.0)
-        size = _FIRST_CAP
-        while size <= _LAST_CAP:
-            measure = _vertex_in_time(solved.with_arguments(cost_cap=size * most))
+        first, last = _FIRST_CAP * most if near is None else near.cap, _LAST_CAP * most
+        cap = min(cap or first, last)
+        while cap <= last:
+            measure = _vertex_in_time(solved.with_arguments(cost_cap=cap), begun)
             if measure.beyond <= _BEYOND:
-                return cls(solved, measure)
-            size *= 2.0
+                return cls(solved, measure, cap)
+            cap *= 2.0
         raise SolverError("too many total costs for derivatives of a cost given success")
 
     @cached_property
@@ -507,6 +519,68 @@ class _Optimum:
         more = int(best.sum()) - visited.size != priced
         return not (unused or more or met != priced or self._charges_tie)
 
+    @cached_property
+    def optima(self) -> Callable[[FloatArray, float], float] | None:
+        """Least value over all optimal lotteries of a function of visits, [pairs], and a constant.
+
+        None if several prices may be optimal: the vertex has too few pairs for its tight rows. In
+        case S all is divided by the goal probability. It is nan if there is no least value.
+        """
+        measure, program = self.measure, self.measure.program
+        used = measure.visits > ROUNDING
+        tight = {r.name for r in program.rows if r.bound - measure.activity[r.name] <= ROUNDING *
+                 max(abs(r.bound), r.largest)}  # fmt: skip
+        visited = np.unique(program.process.pair_state[used]).size
+        if int(used.sum()) - visited != len(tight) or self.problem.semantics.charge_failing_step:
+            return None
+        from ssp_lp.linear_programming.highs import minimiser
+
+        linear, best = program.linear, self.duals.reduced_costs <= ROUNDING * self.size
+        columns = np.flatnonzero(np.append(best, [True] * program.ratio))
+        lower = np.array(linear.lower)
+        for name, price in measure.prices.items():
+            if price > 0.0 and name in tight:
+                lower[linear.rows[name]] = linear.upper[linear.rows[name]]
+        matrix = linear.matrix[:, columns]
+        free = np.zeros(columns.size)
+        least = minimiser(replace(linear, cost=free, matrix=matrix, lower=lower))
+        if program.ratio:  # the last column is the factor by which all visits are multiplied
+            return lambda per, fixed: least(np.append(per, fixed)[columns])
+        return lambda per, fixed: least(per[columns]) + fixed
+
+    def sides(self, change: Change) -> tuple[float, float] | None:
+        """Return the derivatives to the left and right in a direction if the prices are unique.
+
+        None: several prices may be optimal, or a value that counts is unknown.
+        """
+        if self.optima is None:
+            return None
+        (column, outcome, _, worth), counting = self.outcomes, self.counting_steps
+        model, process = self.problem.model, self.measure.program.process
+        stated = outcome if counting is None else counting.original_outcome[outcome]
+
+        def slopes(of: Mapping[int, float]) -> FloatArray:
+            """Return the change of each entry of ``outcomes``, [entries]."""
+            each = np.zeros((model if counting is None else counting.original).n_outcomes)
+            each[list(of)] = list(of.values())
+            return np.asarray(each[stated])
+
+        rises = slopes(change.probabilities)
+        gain = np.where(rises == 0.0, 0.0, rises * worth)
+        for weight, costs in self.paid:
+            name = self._name_of(costs)
+            own = {k: slope for (cost, k), slope in change.costs.items() if cost == name}
+            gain += weight * model.probabilities[outcome] * slopes(own)
+        per = np.bincount(column, gain, process.n_pairs) + change.bounds.get("penalty", 0.0) * (
+            process.failure)  # fmt: skip
+        bounds = {name: slope for name, slope in change.bounds.items() if name != "penalty"}
+        fixed = self.along(Change(bounds=bounds, start=change.start)) / self.scale
+        if not np.isfinite(per.sum() + fixed):
+            return None
+        least, most = self.optima(per, fixed), -self.optima(-per, -fixed)
+        sign = float(np.sign(self.scale))
+        return (sign * most, sign * least) if np.isfinite(least + most) else None
+
     @property
     def _charges_tie(self) -> bool:
         """Whether another action costs a failing run as little as the charged one."""
@@ -519,8 +593,12 @@ class _Optimum:
         return False
 
 
-def _vertex_in_time(problem: Problem) -> OccupationMeasure:
+def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> OccupationMeasure:
     """Solve a problem's program at a vertex, whose prices are exact.
+
+    Args:
+        problem: the problem.
+        begun: optimum of a program of this shape, from which the solver starts.
 
     Raises:
         SolverError: the optimum that was found is not a vertex.
@@ -529,7 +607,7 @@ def _vertex_in_time(problem: Problem) -> OccupationMeasure:
     check_time()
     limit = seconds_left()
     try:
-        measure: OccupationMeasure = problem.program().solve(time_limit=limit)
+        measure: OccupationMeasure = problem.program().solve(time_limit=limit, warm_start=begun)
     except SolverError as error:
         if is_late():
             raise Stop from error
@@ -581,7 +659,11 @@ class WhatIf(Report):
         at_least = self.optimum.measure.program.at_least and self.problem.failure_budget is not None
         if is_unique and min(ends) > 0.0 and np.isfinite(slope) and not at_least:
             return Effect(number, slope, slope)
-        (left, why), (right, also) = (self._side(change, sign) for sign in (-1.0, 1.0))
+        sides = None if at_least else self.optimum.sides(change)
+        (left, why), (right, also) = (
+            self._side(change, sign) if sides is None or end <= 0.0 else (side, "")
+            for sign, end, side in zip((-1.0, 1.0), ends, sides or (None, None), strict=True)
+        )
         return Effect(number, left, right, "; ".join(dict.fromkeys(filter(None, (why, also)))))
 
     def _refused(self, change: Change) -> str:
@@ -613,7 +695,8 @@ class WhatIf(Report):
         step = sign * min(_STEP, most / 4.0)
         try:
             near, far, last = (
-                _Optimum.of(change.applied(self.problem, k * step)) for k in (1, 2, 3)
+                _Optimum.of(change.applied(self.problem, k * step), near=self.optimum)
+                for k in (1, 2, 3)
             )
             slopes = near.along(change), far.along(change), last.along(change)
         except InfeasibleError:
@@ -622,11 +705,14 @@ class WhatIf(Report):
             return None, f"{side}: {error}"
         slope = 3.0 * (slopes[0] - slopes[1]) + slopes[2]  # a parabola through them, at 0
         bend = abs(slopes[1] - slopes[0])
-        between = (far.measure.objective - near.measure.objective) / step
-        before = (near.measure.objective - self.optimum.measure.objective) / step
-        room = _AGREES * (1.0 + abs(slope)) + bend
+        here, beside = self.optimum.measure.objective, near.measure.objective
+        between = (far.measure.objective - beside) / step
+        room, before = _AGREES * (1.0 + abs(slope)) + bend, (beside - here) / step
+        moved = f"when the number moves by {step:.1g}: solve both problems and compare"
+        if abs(before - slope) > max(room, _JUMP * (1.0 + abs(here)) / abs(step)):
+            return None, f"{side}: the optimum jumps from {here:.6g} to {beside:.6g} {moved}"
         if abs(between - (slopes[0] + slopes[1]) / 2.0) > room or abs(before - slope) > room:
-            return None, f"{side}: the derivative disagrees with optima nearby"
+            return None, f"{side}: the derivative changes {moved}"
         return float(slope), ""
 
     def breakpoints(self, number: str | Number | Change) -> tuple[float, float]:
@@ -659,7 +745,8 @@ class WhatIf(Report):
         def stays(step: float) -> bool:
             """Return whether the same actions are optimal and used after a step."""
             try:
-                beside = _Optimum.of(change.applied(self.problem, sign * step))
+                moved = change.applied(self.problem, sign * step)
+                beside = _Optimum.of(moved, near=self.optimum)
             except SSPError:
                 return False
             return beside.support == self.optimum.support
@@ -704,8 +791,15 @@ def what_if(
     by: Callable[[Number], Hashable] | None = None,
     *,
     time_limit: float | None = None,
+    cap: float = 0.0,
 ) -> WhatIf:
     """Return the derivatives of a problem's optimum by its numbers: see :meth:`Solution.what_if`.
+
+    Args:
+        problem: the problem.
+        by: as there.
+        time_limit: as there.
+        cap: in case S a guess of the greatest total cost of a run that succeeds; 0: none.
 
     Raises:
         ModelError: a criterion whose optimum has no such derivatives.
@@ -713,7 +807,7 @@ def what_if(
     """
     with limited(time_limit, "the program was solved"):
         _check_criterion(problem)
-        report = WhatIf(problem, _Optimum.of(problem))
+        report = WhatIf(problem, _Optimum.of(problem, cap))
         effects = list[Effect]()
         for number in _grouped(_numbers(problem, report.optimum), by):
             effect = Effect(number, None, None, "time_limit ended before")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import re
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -30,6 +30,13 @@ _DOUBTED = (
 _BASIC, _NONBASIC = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kNonbasic
 _NUMBERED = "x"  # prefix of a column's number, with which its name begins
 ENDINGS = (".mps", ".lp", ".mps.gz", ".lp.gz")
+
+
+_SHARP: HighsOptions = {
+    "primal_feasibility_tolerance": 1e-10,
+    "dual_feasibility_tolerance": 1e-10,
+    "small_matrix_value": 1e-12,  # smaller entries are dropped; the least value allowed
+}
 
 
 def solve_with_highs(
@@ -91,12 +98,7 @@ def _solved_by_highs(
     After a doubtful answer the program is solved again without presolve, because with presolve
     HiGHS 1.15 calls some feasible programs infeasible.
     """
-    options: HighsOptions = {
-        "solver": backend.removeprefix("highs-"),
-        "primal_feasibility_tolerance": 1e-10,
-        "dual_feasibility_tolerance": 1e-10,
-        "small_matrix_value": 1e-12,  # smaller entries are dropped; the least value allowed
-    }
+    options: HighsOptions = {"solver": backend.removeprefix("highs-"), **_SHARP}
     if np.isfinite(time_limit):
         options["time_limit"] = max(time_limit, 1e-3)
     solver = highs_solver(highs_lp(program), options)
@@ -116,6 +118,26 @@ def _solved_by_highs(
         solver.clearSolver()
         run_highs(solver)
     return solver
+
+
+def minimiser(program: LinearProgram) -> Callable[[FloatArray], float]:
+    """Return a function that minimises an objective, [columns], over a program; nan: no optimum.
+
+    HiGHS's simplex goes on from the optimum of the last objective.
+    """
+    solver = highs_solver(highs_lp(program), {"solver": "simplex", "simplex_strategy": 4, **_SHARP})
+
+    def least(cost: FloatArray) -> float:
+        """Return the least value of an objective."""
+        solver.changeColsCost(cost.size, np.arange(cost.size, dtype=np.int32), cost)
+        for _ in range(2):
+            run_highs(solver)
+            if solver.getModelStatus() == highspy.HighsModelStatus.kOptimal:
+                return float(cost @ solver.getSolution().col_value)
+            solver.clearSolver()  # the last basis may be a bad beginning
+        return float("nan")
+
+    return least
 
 
 class _SilentHighs(highspy.Highs):

@@ -60,6 +60,7 @@ from ssp_lp.errors import (
     ModelError,
     OutOfTimeError,
     SolverError,
+    as_percentage,
     check_between_0_and_1,
     check_whole,
     did_you_mean,
@@ -82,7 +83,7 @@ from ssp_lp.problem import (
     pulled_back,
 )
 from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.failure_semantics import Aim, ObjectiveSense, as_percentage
+from ssp_lp.processes.failure_semantics import Aim, ObjectiveSense
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -23,7 +23,13 @@ from ssp_lp.arrays import (
     segment_ids,
     segment_sums,
 )
-from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole, is_number
+from ssp_lp.errors import (
+    ModelError,
+    as_percentage,
+    check_between_0_and_1,
+    check_whole,
+    is_number,
+)
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP
@@ -63,7 +69,7 @@ class Boxes(Report, ReadOnlyCopies):
     def __post_init__(self) -> None:
         self.keep_read_only("low", "high", dtype=np.float64)
         if self.confidence is not None:
-            check_between_0_and_1("confidence", self.confidence)
+            check_between_0_and_1("confidence", self.confidence, as_percentage(self.confidence))
         model, low, high = self.model, self.low, self.high
         if low.shape != (model.n_outcomes,) or high.shape != low.shape:
             raise ModelError(f"low and high must have a number for each of {model.n_outcomes}"
@@ -101,7 +107,7 @@ class Boxes(Report, ReadOnlyCopies):
         """
         from scipy.special import betaincinv  # no other module loads it
 
-        check_between_0_and_1("confidence", confidence)
+        check_between_0_and_1("confidence", confidence, as_percentage(confidence))
         counts, offsets = counts_of(model), model.outcome_offsets
         widths = np.diff(offsets)
         intervals = int(np.where(widths > 2, widths, widths - 1).sum())

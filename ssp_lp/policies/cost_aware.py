@@ -84,6 +84,11 @@ class CostAwarePolicy(Policy):
         return int(self.decision.shape[0])
 
     @property
+    def last_total(self) -> float:
+        """Accumulated cost at the cap."""
+        return self.cap * self.unit if self.levels is None else float(self.levels[-1])
+
+    @property
     def memory_size(self) -> int:
         """Number of layers and tails."""
         return self.cap + len(self.tails)

@@ -32,6 +32,7 @@ from ssp_lp.arrays import (
 from ssp_lp.errors import (
     Argument,
     ModelError,
+    as_percentage,
     check_between_0_and_1,
     check_flag,
     in_short,
@@ -384,11 +385,6 @@ def check_failure_setting(
             Argument("discount"),
             " out, or give a budget for the discounted surrogate",
         )
-
-
-def as_percentage(share: float) -> str:
-    """Return a hint for a budget above 1 that may be a percentage."""
-    return f"; did you mean {float(share) / 100.0:.12g}?" if 1.0 < share <= 100.0 else ""
 
 
 def free_pairs(

@@ -11,6 +11,7 @@ import pytest
 from formulations import ISSPUDE, MCMP, S3P, CVaR, FinitePenalty, MaxProb, MinCost, MinProb
 from refusing import refused
 from ssp_lp import SSP, Change, OutOfTimeError, Parameter, secondary_cost, solve, within_steps
+from ssp_lp.analysis import what_if as analysis_of
 from ssp_lp.plotting import plot_parameter, plot_tornado
 from tests.campaigns import what_if_check
 
@@ -211,6 +212,51 @@ def test_a_limit_has_a_price_on_both_its_numbers():
     problem = MCMP(depot(), "depot", 0.9, constraints={"fuel": fuel})
     found = by_name(solve(problem).what_if())
     assert found["limit 'fuel'"].derivative == pytest.approx((4.0 - 9.0) / 2.0)
+
+
+def chain(count=20):
+    """Alike stages, each slow or fast, so that many lotteries are optimal."""
+    stages = {
+        k: {
+            "slow": [(0.9, k + 1, 2.0), (0.1, k, 2.0)],
+            "fast": [(0.85, k + 1, 1.0), (0.10, k, 1.0), (0.05, "pit", 1.0)],
+        }
+        for k in range(count)
+    }
+    return SSP.from_transitions(stages | {"pit": {}}, {count}, dead_ends={"pit"})
+
+
+def test_a_chain_given_success_is_solved_once_and_asked_on_both_sides(monkeypatch):
+    problem, programs, solve_program = S3P(chain(), 0, 0.2), [], analysis_of._vertex_in_time
+    monkeypatch.setattr(
+        analysis_of, "_vertex_in_time", lambda *of: programs.append(of) or solve_program(*of)
+    )
+    effects = solve(problem).what_if().effects
+    assert len(programs) <= 2
+    assert {effect.note for effect in effects} == {"", "slope if the lottery does not change"}
+    assert all(effect.right <= effect.left + 1e-6 for effect in effects)
+    found = {effect.number.name: effect for effect in effects}
+    effect = found["chance of 5 by fast in 4"]
+    assert effect.left - effect.right > 1.0
+    by_differences = dict(what_if_check.differences(problem, effect.number.change))
+    assert effect.right == pytest.approx(by_differences["right"], rel=1e-6)
+
+
+def test_a_derivative_that_changes_close_by_is_said_to():
+    """Two ways rise together, up to a third that costs 1.5e-5 more; failing charges the least."""
+    at = {"bus": 5.0, "tram": 5.0, "ferry": 5.0 + 1.5e-5}
+    ways = {way: [(0.9, "home", cost), (0.1, "pit", cost)] for way, cost in at.items()}
+    model = SSP.from_transitions({"depot": ways, "pit": {}}, {"home"}, dead_ends={"pit"})
+
+    def rising(number):
+        return "fare" if number.kind == "cost" and number.action != "ferry" else None
+
+    (both,) = solve(MCMP(model, "depot", 0.5)).what_if(rising).effects
+    assert both.right is None
+    assert "right: the derivative changes when the number moves by 1e-05" in both.note
+    assert "solve both problems and compare" in both.note
+    (both,) = solve(MCMP(model, "depot", 0.5, charge_failing_step=False)).what_if(rising).effects
+    assert (both.left, both.right) == pytest.approx((1.0, 1.0))
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 5, 6, 7, 8])

@@ -164,6 +164,10 @@ def test_boxes_are_narrowed_to_what_distributions_have_and_checked():
         Boxes(model, "ab", "cd")
     with pytest.raises(ModelError, match="confidence must lie strictly between 0 and 1, not 'x'"):
         Boxes(model, low=[0.0] * 4, high=[1.0] * 4, confidence="x")
+    with pytest.raises(ModelError, match=r"not 95; did you mean 0\.95\?"):
+        Boxes(model, low=[0.0] * 4, high=[1.0] * 4, confidence=95)
+    with pytest.raises(ModelError, match=r"not 95; did you mean 0\.95\?"):
+        Boxes.from_counts(model, confidence=95)
     with pytest.raises(ModelError, match="model must be an SSP, not 3"):
         Boxes(3, [0], [1])
     plain = SSP.from_transitions({"a": {"go": [(1.0, "b", 1.0)]}}, goal={"b"})

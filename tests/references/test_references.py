@@ -1,5 +1,7 @@
 """The references against closed forms and one another: a yardstick that is itself measured."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -7,7 +9,7 @@ from hypothesis import given, strategies as st
 import cost_law_models as models
 from cases import ROBOT_VALUES, expected, load_case
 from checks import plain
-from references import mcmp, mcmp_program, s3p, s3p_program
+from references import combined, mcmp, mcmp_program, s3p, s3p_program
 from references.chain import plain_model
 from references.frontier import (
     Point,
@@ -240,6 +242,24 @@ def test_memory_of_the_cost_never_hurts(drawn, share, discount):
     stationary = constrained_ratio(s3p.stationary_points(model, drawn.start, discount), budget)
     assert low <= high + 1e-7
     assert high <= min(stationary, value) * (1 + 1e-7) + 1e-7
+
+
+def test_a_false_answer_of_one_solver_is_corrected_by_another(monkeypatch):
+    """HiGHS 1.8 calls some feasible programs infeasible; after two such answers they are named."""
+    outs = [(0.9, "g", 1), (0.1, "d", 1)]
+    task = combined.Task({"x": {"try": outs}, "d": {}, "g": {}}, frozenset({"g"}), {"x": 1.0}, {})
+    task = task._replace(most_failure=None)
+    written = combined.program(task, 0)
+    cost, honest, wrong = written.parts["cost"], combined.linprog, [2]
+
+    def linprog(*program, **how):
+        return SimpleNamespace(status=wrong.pop(), message="") if wrong else honest(*program, **how)
+
+    monkeypatch.setattr(combined, "linprog", linprog)
+    assert combined.least(task, written, cost, ratio=False) == pytest.approx(1.0)
+    wrong += [2, 2]
+    with pytest.raises(AssertionError, match="least failure infeasible"):
+        combined.least(task, written, cost, ratio=False)
 
 
 @pytest.mark.parametrize("p", [0.5, 0.3])

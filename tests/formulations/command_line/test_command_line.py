@@ -118,6 +118,8 @@ def test_solve_says_what_the_library_says(
     asked = ["solve", roads, *WITHIN, "--criterion", criterion.lower()]
     code, out, _ = run(*asked)
     assert (code, out.splitlines()[:2]) == (0, own.summary().splitlines()[:2])
+    assert "give_up='dead_ends'" not in out
+    assert ("--give-up dead_ends" in out) == ("give_up='dead_ends'" in own.summary())
     answer = told(*asked)
     assert answer["objective"] == pytest.approx(own.objective)
     assert answer["failure_probability"] == pytest.approx(0.05)
