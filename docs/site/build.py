@@ -46,7 +46,8 @@ UNSEARCHED = "search: {exclude: true}"
 HEADS = {"index.md": FRONT, "readme.md": UNSEARCHED}
 """Settings of pages; the README says what other pages say, too."""
 
-MISSING = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Page not found - ssp-lp</title>
+MISSING = """<!doctype html><html lang="en"><meta charset="utf-8">
+<title>Page not found - ssp-lp</title>
 <meta name="viewport" content="width=device-width">
 <body style="font: 1.1rem sans-serif; margin: 3rem auto; max-width: 40rem; padding: 0 1rem">
 <h1>Page not found</h1>
