@@ -184,7 +184,7 @@ class _LayerPowers:
         return len(self.node)
 
     def _one_layer(self) -> _LayerPower:
-        """Return the step of one layer: mass without delay moves, other delays fall by one."""
+        """Return one layer's step: mass of delay 0 moves on, other delays fall by one."""
         n_nodes = len(self._lost) + 1
         columns = np.append((self.delay + 1) * n_nodes + self.node, n_nodes - 1)
         leaving = np.hstack([self._onward[:, columns].toarray(), self._lost[:, None]])

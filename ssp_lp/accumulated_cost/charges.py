@@ -77,7 +77,7 @@ class TailValues(NamedTuple):
         return TailValues(*[each[number] for each in self])
 
     def chosen(self, last: BoolArray) -> TailValues:
-        """Return the values of the last policy where ``last``, else of the first, like ``last``."""
+        """Return the last policy's values where ``last``, else the first's; shape of ``last``."""
         return TailValues(*[np.where(last, each[-1], each[0]) for each in self])
 
 

@@ -266,7 +266,7 @@ class CostLaw:
         return self._answer(atoms)
 
     def _mean(self, of: Callable[[Chain], float]) -> float:
-        """Return the mean over the lottery of a number that each member's chain gives."""
+        """Return the lottery's mean of a number that each member's chain gives."""
         numbers = zip(self._chains, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 

@@ -55,7 +55,7 @@ from ssp_lp.model.graph import nearer_pairs
 _ONE, _NONE, _NO_LIMITS = np.ones(1), np.zeros(0), np.zeros((0, 0))
 
 _BELOW_EVERY_VALUE = 1e-6
-"""Relative margin of the floor below minus the price, for rounding."""
+"""The floor is minus the price, less this relative margin for rounding."""
 
 KEPT_VALUES = 25_000_000
 """Most checked values that are kept, nodes x layers: 0.2 GB. Larger tables are replaced by infinite
@@ -659,7 +659,7 @@ _LAYERS_BETWEEN = 8  # layers between two checks of it
 _SLACK = 4  # a room holds this many windows, so that all is moved once in three windows
 
 _DROPPED = 1e-9
-"""Mass of a node that a guess drops."""
+"""A guess drops nodes with less mass."""
 
 
 def follow_rule(

@@ -509,7 +509,7 @@ class _Optimum:
 
     @property
     def _charges_tie(self) -> bool:
-        """Whether another action costs a failing run as little as the charged one."""
+        """Whether a failing run may pay the same cost by another action than the charged one."""
         model, means = self.problem.model, {id(m): cost_means(m) for _, m in self.paid}
         for _, costs, _, some in self.charged:
             pair = int(np.searchsorted(model.outcome_offsets, some.start, side="right")) - 1

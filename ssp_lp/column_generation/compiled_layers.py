@@ -391,7 +391,7 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def _has_exact_tails(self) -> bool:
-        """Whether the tails are the policies of least failure, as is stated or necessary."""
+        """Whether the tails are (stated or necessary) the policies of least failure."""
         merged = self.layer.base.quotient.merged
         return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self.is_long_shot
 
@@ -510,7 +510,7 @@ class CompiledLayered(CompiledProblem):
         return replace(self, cap=wanted, tails=tails)
 
     def charging(self, charge: Charge, cap: float | None = None) -> CompiledLayered:
-        """Return the problem with another charge and cap, neither charge an exponential one."""
+        """Return the problem with another charge and cap; no charge is exponential."""
         return replace(self, charge=charge, cap=cap)
 
     def safest(self) -> CompiledLayered:

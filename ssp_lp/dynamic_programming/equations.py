@@ -100,7 +100,7 @@ class System:
 
     @property
     def is_solved_reward_by_reward(self) -> bool:
-        """Whether the time of an iterative solution is long and proportional to the rewards."""
+        """Whether the equations are solved by slow iterations, once for each reward."""
         return any(block.is_solved_reward_by_reward for block in self._large.values())
 
     @cached_property

@@ -127,7 +127,7 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 def _may_be_rarer(
     stated: CompiledExplicit, optimum: Optimum[CompiledExplicit], options: SolveOptions
 ) -> bool:
-    """Return whether the optimum improves if rare success is counted by the goal's probability.
+    """Return whether the goal's probability instead of 1 - failure improves the optimum.
 
     The search uses slightly tighter rows, so that no success comes from the tolerance of a row.
     """

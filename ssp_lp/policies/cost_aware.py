@@ -194,7 +194,7 @@ class CostAwarePolicy(Policy):
         rank = np.where(self.tail_threshold > farthest, len(edges), asks)
 
         def reached(total: FloatArray) -> IntArray:
-            """Return the layer that each total leads to, like ``total``."""
+            """Return the layer that each total leads to, in the shape of ``total``."""
             nearest = _nearest_cost_level(levels, total)
             beyond = np.searchsorted(edges, total, side="right")
             return np.where(nearest < cap, nearest, cap + beyond)

@@ -749,7 +749,7 @@ class StochasticPolicy(Policy):
         flows: FloatArray,
         carrier: Policy | None = None,
     ) -> StochasticPolicy:
-        """Return the policy that draws each decision with its share of its situation's flow.
+        """Return the policy that draws a situation's decisions in proportion to their flow.
 
         Args:
             model: the model.

@@ -127,7 +127,7 @@ class Quantity:
     __array_ufunc__ = None  # so that NumPy numbers can scale it
 
     def __array__(self, *_: object) -> None:
-        """Raise an error, as ``parameter * quantity`` of cvxpy would treat it as an array.
+        """Raise an error: ``parameter * quantity`` would treat the quantity as an array (cvxpy).
 
         Raises:
             ModelError: always.
@@ -219,7 +219,7 @@ class Constraint:
         return f"{low}{self.quantity!r}{high}"
 
     def __bool__(self) -> bool:
-        """Raise an error, as ``0.1 <= quantity <= 0.2`` would silently drop its first half.
+        """Raise an error: ``0.1 <= quantity <= 0.2`` would silently drop its first half.
 
         Raises:
             ModelError: always.
@@ -656,7 +656,7 @@ def _looked_up_term(model: SSP, counted: Counted) -> Term:
 
 
 def _as_an_action(model: SSP, word: Hashable) -> str:
-    """Return a hint if a word in place of a state is, or resembles, the name of an action."""
+    """Return a hint if a word that is no state is, or resembles, the name of an action."""
     meant = nearest_name(word, model.action_names)
     if meant is None or nearest_name(word, model.states) is not None:
         return ""

@@ -114,7 +114,7 @@ def check_certificate(path: str | Path, *, problem: Problem | None = None) -> Ch
 
 
 def _checked(lines: reading.Lines, expected: str | None = None) -> Checked:
-    """Return the verdict on the lines of a certificate that is accepted."""
+    """Check the lines of a certificate; return the verdict if they are accepted."""
     bounds, question, digests = reading.check(lines, expected)
     names = {}
     states = islice(lines(), 1, 1 + question["states"])
