@@ -6,8 +6,8 @@ step, a kink or a utility gives bounded reach, the conditional value at risk, or
 charge is a reward. Charges do not fall as the total cost grows.
 
 A measure is a number that is computed from the *law of success costs* of a policy: the
-sub-probability law of the
-total cost C on the runs that reach the goal. Its missing mass is the failure probability.
+sub-probability law of the total cost C on the runs that reach the goal. Its missing mass is the
+failure probability.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class LateCharge(Charge):
     offset = 1.0  # charge beyond the bound
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return the charge within the bound, or beyond it, like ``totals``."""
+        """Return the charge within the bound or beyond it, in the shape of ``totals``."""
         return np.where(np.asarray(totals) <= self.settled, self.lowest, self.offset)
 
     @property

@@ -3,8 +3,7 @@
 The mass of a policy is followed forwards together with the cost paid; only the layers that a step
 can reach are held. Below the cap this gives the value of the policy and the law of its total cost.
 Mass that reaches the cap continues by the policy's tails, whose chains are built explicitly. Free
-steps
-form a chain within each layer.
+steps form a chain within each layer.
 
 If a policy never reaches the goal from a state, the goal can be avoided surely there, and the
 policy may give up, since later costs do not change the cost given success.

@@ -4,8 +4,7 @@ A backward sweep finds the optimal choice, evaluates a choice, or gives lower bo
 of every policy. A process is swept in one compiled pass in two cases: its layers have only some
 hundred nodes, so that the interpreter takes longer than the arithmetic; or every policy leaves a
 layer after a few free steps, so that equations take longer than Gauss-Seidel turns over the layer.
-If the free steps are acyclic,
-one turn is enough.
+If the free steps are acyclic, one turn is enough.
 
 A forward sweep sends on one number per node, only from nodes that the choice reaches. A backward
 sweep computes all rewards for every node of every layer.

@@ -306,7 +306,7 @@ def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> Floa
 
 
 def _steps_to_sum(model: SSP, steps: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Return the distinct (successor, class) of each state's steps: offsets, both arrays."""
+    """Return the distinct (successor, cost class) of each state's steps: offsets and two arrays."""
     pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
     ended = dead_ends(model) | model.goal_mask
     moving = (model.probabilities > 0.0) & ~ended[model.successors] & ~ended[model.pair_state[pair]]

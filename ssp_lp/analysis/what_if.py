@@ -1,8 +1,7 @@
 """Sensitivity: derivatives of the optimum by the numbers of a problem.
 
 By the envelope theorem the derivative of the optimum is the derivative of the Lagrangian at an
-optimal
-lottery x and optimal prices. The worth of an outcome o of a pair, at the prices, is
+optimal lottery x and optimal prices. The worth of an outcome o of a pair, at the prices, is
 
     worth(o) = cost + sum of price * quantity + value of its successor,
 

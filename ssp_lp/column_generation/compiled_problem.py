@@ -555,7 +555,7 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def may_be_rare(self) -> bool:
-        """Whether rows alone may make success rare while failure is the reward."""
+        """Whether rows may make success rare, and failure is counted rather than success."""
         is_greatest = self.semantics.aim is Aim.GREATEST_GOAL and self.objective is None
         is_free = self.ratio and self.budget is not None and self._demanded == 0.0
         return (is_greatest or is_free) and not self.by_goal

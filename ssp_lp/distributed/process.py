@@ -366,7 +366,7 @@ class PartitionedProcess(PricingProblem):
         rows = chosen_rows(self.dynamics.transitions, np.where(quits, self.stays, choice))
 
         def sweep(mask: BoolArray) -> BoolArray:
-            """Keep the marked nodes whose successors are all marked; others may move as well."""
+            """Keep the marks of nodes whose successors are all marked."""
             return np.asarray(mask[: len(quits)] & (rows @ ~mask == 0.0))
 
         kept = self.halo.settled(sweep, self.halo.filled(quits))[: len(quits)]

@@ -101,9 +101,8 @@ def check_alpha(alpha: object) -> None:
 class BestResponse:
     """A deterministic policy that minimises a weighted sum of the game's two costs.
 
-    If the goal is hardly ever reached, J_cond is 1 to rounding. It is then counted from ``origin``
-    = 1: the number J_cond - 1 is minus the success, which is summed separately and keeps its
-    digits.
+    If the goal is hardly ever reached, J_cond is 1 to rounding. Then ``origin`` is 1: J_cond - 1,
+    which is minus the success, is summed separately and keeps its digits.
     """
 
     objective: float  # J_obj(x'; pi), exact for the policy

@@ -503,8 +503,8 @@ def _beyond_refuted(question: _Question, refuted: int) -> float:
 def _late_share(level: float) -> float:
     """Return the share of the successes that may lie beyond the quantile, with its tolerance.
 
-    It is below 1 at every level, since some success must lie within the quantile, by more than
-    rounding.
+    The share is below 1 at every level, by more than rounding: some success lies within the
+    quantile.
     """
     return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
 

@@ -458,8 +458,7 @@ def opened(stated: CompiledExplicit, options: SolveOptions) -> tuple[CompiledExp
     """Run phase 1; return the problem and the search that phase 2 starts from.
 
     If the budget equals the least failure, the problem becomes the problem of least failure. The
-    least
-    failure is not computed if a policy of phase 1 fails less often than the budget allows.
+    least failure is not computed if a policy of phase 1 fails less often than the budget allows.
     """
     if not (stated.limits_failure and stated.is_whole):
         compiled = stated.settled()

@@ -585,8 +585,7 @@ class Episode:
         True once the goal is given up.
 
         Raises:
-            ModelError: unknown state or another than the observed one, or a state in which the
-                policy has no decision.
+            ModelError: the state is unknown, is not the observed one, or has no decision.
         """
         return self._alone.actions([state])[0]
 
@@ -702,8 +701,7 @@ class StochasticPolicy(Policy):
 
     Situations are sorted by (memory, state). The memory is updated like the memory of ``carrier``;
     without a carrier the policy is stationary on the model's states. The randomised policy
-    equivalent to a
-    mixed policy (paper, section 2.2) has this form.
+    equivalent to a mixed policy (paper, section 2.2) has this form.
     """
 
     model: SSP

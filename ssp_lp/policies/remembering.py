@@ -226,7 +226,7 @@ class JointMemory(Policy):
 
 
 def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
-    """Return the members of a lottery whose memories together include all members' memories.
+    """Return one member of a lottery for each kind of memory that its members have.
 
     Raises:
         ModelError: a member is of a class with unknown memory.

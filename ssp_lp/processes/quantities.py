@@ -178,7 +178,7 @@ class Quantity:
         return Constraint(self, lower=_quantity_number(bound))
 
     def __lt__(self, bound: object) -> Constraint:
-        """Raise an error, as a limit includes its bound.
+        """Raise an error: a limit includes its bound (``<=`` or ``>=``).
 
         Raises:
             ModelError: always.
@@ -186,7 +186,7 @@ class Quantity:
         raise ModelError(f"a limit includes its bound: write {self!r} <= {bound!r}")
 
     def __gt__(self, bound: object) -> Constraint:
-        """Raise an error, as a limit includes its bound.
+        """Raise an error: a limit includes its bound (``<=`` or ``>=``).
 
         Raises:
             ModelError: always.
