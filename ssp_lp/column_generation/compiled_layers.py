@@ -47,7 +47,7 @@ from ssp_lp.processes.live_rows import uniform_cost
 
 @dataclass(frozen=True, eq=False)
 class LayeredPricing(PricingProblem):
-    """Pricing problem of a layered process whose only row is failure; a choice has [cap, nodes]."""
+    """Pricing problem of a layered process whose only row is failure; choices are [cap, nodes]."""
 
     process: LayeredProcess
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure

@@ -750,7 +750,7 @@ def _traced_by_columns(problem: Problem, limits: _TraceLimits) -> Frontier:
 
 
 def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
-    """Return an upper bound of the frontier's relative error by the cap on the cost."""
+    """Return an upper bound of the frontier's relative error that the cap on the cost causes."""
     if len(traced.price) == 0:
         return 0.0
     lost = np.inf

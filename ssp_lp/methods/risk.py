@@ -245,7 +245,7 @@ class _Question(ABC):
         """Return a lower bound of E[charge | goal] at a guess of the prices."""
 
     def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
-        """Return a function of lower bounds of Pr(C > B | goal), by the number of the bound B.
+        """Return a function from the number of a bound B to a lower bound of Pr(C > B | goal).
 
         Args:
             number: number of the greatest bound.
