@@ -32,7 +32,7 @@ Utility = Callable[[FloatArray], FloatArray]
 
 
 def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> FloatArray:
-    """Return the utility of each total cost, like ``costs``.
+    """Return the utility of each total cost, in the shape of ``costs``.
 
     Raises:
         ModelError: the function does not take an array, or does not return as many finite numbers;
@@ -108,7 +108,7 @@ class Charge(ABC):
 
     @abstractmethod
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return the charge at total costs, like ``totals``."""
+        """Return the charge at total costs, in the shape of ``totals``."""
 
     @property
     def settled(self) -> float | None:
@@ -189,7 +189,7 @@ class ExcessCharge(Charge):
         return 1.0 / self.share
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return the integrand, or its lower bound, like ``totals``."""
+        """Return the integrand or its lower bound, in the shape of ``totals``."""
         late = np.maximum(np.asarray(totals) - self.threshold, 0.0)
         first = self.threshold if self.first is None else self.first
         return np.asarray(np.clip(totals, first, self.threshold) + late * self.slope)
@@ -293,7 +293,7 @@ class ExpectedUtility(Reward):
         return float(self.at(np.zeros(1))[0])
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return minus (utility + bonus - utility at infinity), like ``totals``.
+        """Return minus (utility + bonus - utility at infinity), in the shape of ``totals``.
 
         Raises:
             ModelError: the utility increases, or falls below its limit at infinity.
@@ -339,7 +339,7 @@ class ExponentialUtility(Reward):
         return -(1.0 + self.bonus)
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return minus (utility + bonus), like ``totals``."""
+        """Return minus (utility + bonus), in the shape of ``totals``."""
         return np.asarray(-(np.exp(self.rate * np.asarray(totals)) + self.bonus))
 
     def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
@@ -386,7 +386,7 @@ class ExpectedArrivalCost(Charge, Measure):
         return float(self.at(np.array([self.affine_from]))[0]) - self.slope * self.affine_from
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return f at total costs, like ``totals``.
+        """Return f at total costs, in the shape of ``totals``.
 
         Raises:
             ModelError: f does not take an array, falls as the cost grows, or is below 0.

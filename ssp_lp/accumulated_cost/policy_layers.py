@@ -68,7 +68,7 @@ class _Staying:
         return closed
 
     def visits(self, entering: FloatArray, inside: BoolArray, survival: float) -> FloatArray:
-        """Return the expected visits of each state within the layer, like ``entering``.
+        """Return the expected visits of each state in the layer, in the shape of ``entering``.
 
         Args:
             entering: the mass that enters the layer and, in an optional second column, this mass

@@ -75,7 +75,7 @@ def layers_within(total: float | Fraction, unit: Fraction) -> int:
 
 
 def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
-    """Return the totals of layers of a lattice, rounded once, like ``layers``."""
+    """Return the totals of layers of a lattice, rounded once, in the shape of ``layers``."""
     return np.asarray(layers * float(unit.numerator) / float(unit.denominator))
 
 
@@ -99,7 +99,7 @@ def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
 
 
 def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]) -> IntArray:
-    """Return the number of units in each cost, like ``costs``.
+    """Return the number of units in each cost, in the shape of ``costs``.
 
     Raises:
         ModelError: a single step passes too many layers for a table over accumulated cost.

@@ -132,7 +132,7 @@ class System:
 
         Args:
             rewards: [states] or [states, rewards].
-            guess: warm start of the iterative methods, like ``rewards``.
+            guess: warm start of the iterative methods, in the shape of ``rewards``.
             accuracy: relative residual of the iterative methods; other methods are always exact.
 
         Returns:

@@ -168,7 +168,7 @@ def _settled_reach(
 def _swept_towards(
     dynamics: Dynamics, wanted: FloatArray, asked: IntArray, last_digits: bool
 ) -> tuple[IntArray, FloatArray, FloatArray | None]:
-    """Improve a policy of extreme reach that leaves by sweeps in the order of distance.
+    """Improve, by sweeps in the order of distance, a policy of extreme reach that leaves.
 
     Values rise from 0, and each is rounded down when it takes a better pair. So the policy attains
     them, and it leaves, since values in a cycle would fall by rounding. Then values a little above

@@ -1160,7 +1160,7 @@ def check_hashable(state: Any, where: str) -> None:
         hash(state)
     except TypeError as error:
         raise ModelError(
-            f"{where}: {in_short(state)} cannot be a state, which must not contain a {_UNHASHABLE}"
+            f"{where}: {in_short(state)} cannot be a state: states must not contain a {_UNHASHABLE}"
         ) from error
 
 

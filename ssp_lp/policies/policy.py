@@ -752,8 +752,8 @@ class StochasticPolicy(Policy):
         Args:
             model: the model.
             keys: memory * n_states + state of each decision; any order, repetitions allowed.
-            pairs: pair of the model or GIVE_UP_CODE, like ``keys``.
-            flows: expected number of times of the decision, like ``keys``.
+            pairs: pair of the model or GIVE_UP_CODE, for each key.
+            flows: expected number of times that the decision is taken, for each key.
             carrier: policy whose memory the keys have; None: no memory.
         """
         joint, back = np.unique(keys * (model.n_pairs + 1) + pairs + 1, return_inverse=True)
