@@ -435,10 +435,10 @@ class PartitionedProcess(PricingProblem):
     def _lowered(self, weights: FloatArray, values: FloatArray) -> FloatArray:
         """Lower values to a sub-solution that a backup of all rows confirms, [own nodes].
 
-        The values move towards a constant sub-solution by the least share that suffices: a step
-        with a cost then has slack of that share of its cost. Where nothing is paid, values are
-        lowered to those of the successors. All values are lowered by a little more, as in free
-        components the sweeps would remove the solver's errors only a part at a time, without end.
+        The values move towards a constant sub-solution by the least share s that suffices: at a
+        step of cost g the slack is then s * g. Where nothing is paid, values are lowered to those
+        of the successors. All values are lowered by a little more. Without this, the sweeps in free
+        components would never end: each would remove only a part of the solver's errors.
         """
         dynamics, greatest, n = self.dynamics, self.ranks.greatest, self.halo.n_own
         cost = weighted(self.rewards, weights)

@@ -253,7 +253,7 @@ class CostAwarePolicy(Policy):
 
 
 def _evenly_spaced(levels: FloatArray, costs: FloatArray, most: int) -> int:
-    """Return the number of first levels from which each step passes equally many levels.
+    """Return how many first levels are evenly spaced: a step passes equally many from each.
 
     Args:
         levels: levels of a cost-aware policy, [levels].

@@ -506,7 +506,7 @@ SLIPS = [
     ),
     ("M.action_of(99)", "99 is not a pair"),
     ("product(M, Memory(0, lambda a, b: 0))", "update must be a function of 5 arguments"),
-    ("product(M, Memory(0, lambda m, s, a, t, c: []))", "which must not contain a list"),
+    ("product(M, Memory(0, lambda m, s, a, t, c: []))", "states must not contain a list"),
     ("DeterministicPolicy.from_actions(M, ['x'])", "actions must be a dict"),
     ("MixedPolicy(None, [1.0])", "MixedPolicy: policies must be a tuple, not None"),
     ("simulate(S.policy, P, episodes=5, seed=0, simulator=W)", "simulator must be a Simulator"),
