@@ -41,7 +41,7 @@ Lines = Callable[[], Iterator[bytes]]  # lines of a file, from the first one at 
 
 
 def lines_of(path: Any) -> Lines:
-    """Return a reader of a file's lines; it refuses lines that are too many or too long."""
+    """Return a reader of a file's lines; lines too long, or too many for its size, are refused."""
 
     def lines() -> Iterator[bytes]:
         """Yield the lines from the first one on."""
