@@ -155,7 +155,7 @@ def problem_of(of: _CommandModel, **others: Any) -> Problem:
 
     Args:
         of: the model, with the arguments of the command.
-        others: arguments in place of those.
+        others: arguments that replace the command's.
 
     Raises:
         ModelError: an argument that the criterion does not have, lacks, or rejects.

@@ -201,8 +201,8 @@ class CostLaw:
             at_infinity: its limit at infinite cost.
 
         Raises:
-            ModelError: the utility is not a finite number for each cost, or it falls so slowly, for
-                a policy of such long runs, that the table becomes too large.
+            ModelError: the utility is not a finite number for each cost, or it falls so slowly, and
+                runs are so long, that the table becomes too large.
         """
         if not isfinite(at_infinity):
             raise ModelError(f"at_infinity must be a finite number, not {in_short(at_infinity)}")

@@ -149,7 +149,8 @@ class LayerMoves:
         """Mark the states from which a policy may reach marked states, in place.
 
         Args:
-            begin: the first layer; in all the layers a class of steps passes equally many layers.
+            begin: the first layer. A class of steps passes equally many layers from each of the
+                layers.
             end: the layer after the last one; layers are handled from the last one on.
             hopeful: marks, updated, [layers and layers ahead, states].
         """
@@ -257,8 +258,8 @@ class LayerMoves:
             stopped: written: mass that ends in each state, and that gives up, [2, states].
             survivals: the discounts.
             hopeful: where the goal can be reached, [layers, states]; empty: for one column.
-            charged: mean cost of a step, [pairs], and of failing, [states], where giving up is not
-                allowed, [states], and whether costs are paid where the goal is lost.
+            charged: mean cost of a step, [pairs]; cost of failing, [states]; whether giving up is
+                forbidden, [states]; and whether costs are paid after the goal is lost.
 
         Returns:
             Goal, failure, cost of success and cost until failure, [layers, discounts, 4]; None

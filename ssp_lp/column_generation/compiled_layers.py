@@ -252,8 +252,8 @@ class LayeredPricing(PricingProblem):
         """Return an upper bound of the dual bound's error by the cap; 0 if tails are optimal.
 
         The error is the difference at the start between two bounds: with the values of the tail
-        policies beyond the cap, and with the lower bound there. It is at most the error of the
-        choice of the second bound: mass beyond the cap times the difference there.
+        policies beyond the cap, and with the lower bound there. The choice of the second bound
+        gives an upper bound of this error: its mass beyond the cap times the difference there.
 
         Args:
             price: of failure.
@@ -311,9 +311,9 @@ class CompiledLayered(CompiledProblem):
     every state where it is possible for sure. A charge that never becomes affine is truncated and
     refined.
 
-    A cap at that price causes (almost) no error with simple tails: any policy to the goal and the
-    trivial bound of its goal probability. The exact policies of greatest goal probability are
-    computed only if the price is too large for such a cap.
+    Simple tails consist of any policy to the goal and the trivial bound of its goal probability.
+    With a cap at that price they cause (almost) no error. The exact policies of greatest goal
+    probability are computed only if the price is too large for such a cap.
     """
 
     facts: GoalFacts
@@ -398,8 +398,8 @@ class CompiledLayered(CompiledProblem):
     def capped_at(self, cost: float) -> CompiledLayered:
         """Return the problem with a cap of about this accumulated cost, if its tails are simple.
 
-        If no policy avoids the goal surely from the start, every cap causes an error, and the tails
-        become exact at once.
+        If no policy surely avoids the goal from the start, every cap changes the optimum. Then the
+        tails become exact at once.
         """
         if self.tails is not Tails.ANY_WAY:
             return self
@@ -475,7 +475,7 @@ class CompiledLayered(CompiledProblem):
     def lossless_units(self, price: float) -> float:
         """Return the total from which failing is optimal at this price, with a margin.
 
-        If the charge is constant in the end, it is the total from which it is.
+        If the charge becomes constant, this is the total from which it is constant.
         """
         charge, settled = self.charge, self._settled_units()
         if charge.slope == 0.0:

@@ -345,7 +345,7 @@ class PartitionedProcess(PricingProblem):
         return _Equations(self, np.where(closed, self._leaving, choice).astype(np.int32), values)
 
     def _giving_up(self, equations: _Equations) -> IntArray:
-        """Return the policy with giving up where it has failed, [own nodes].
+        """Return the policy, changed to give up in nodes where it has failed, [own nodes].
 
         The policy has failed in nodes where giving up is allowed and its own decisions no longer
         lead to the goal. If other ends count, or the criterion forbids giving up, the policy has

@@ -3,8 +3,8 @@
 The probabilities of hitting and missing are each summed from their own exits, so that both are
 accurate relative to their size. A pair attains the extreme if taking it, as often as a run returns
 to it, loses no more than rounding. (In a loop that is rarely left, small losses add up.) If a
-component is too large for state reduction, a pair may lose a hundred
-``FAILURE_FLOOR`` a step, and ``LEAST_BUDGET`` over the longest run of the quickest policy.
+component is too large for state reduction, a pair may lose a hundred ``FAILURE_FLOOR`` a step, and
+``LEAST_BUDGET`` over the longest run of the quickest policy.
 """
 
 from __future__ import annotations

@@ -17,9 +17,9 @@ few costs that are split hardly matter, both bounds meet at once. Otherwise the 
 follows and starts at the price found.
 
 **Rounded costs, criteria of the law of the total cost.** With every cost rounded down to a multiple
-of a unit, a model has a lattice of totals. As charges do not fall as the total grows, its optimum
-is a lower bound for every policy of the true model. With every cost rounded up, the best policy,
-which remembers the rounded total, is also a policy of the true model, with the same goal
+of a unit, a model has a lattice of totals. Since charges do not fall when the total grows, its
+optimum is a lower bound for every policy of the true model. With every cost rounded up, the best
+policy, which remembers the rounded total, is also a policy of the true model, with the same goal
 probability and at most the rounded costs. The two optima enclose the true one for every unit, and
 converge as the unit gets smaller (mathematics, section 8). Coarse units are solved in a moment;
 finer ones follow as time allows.

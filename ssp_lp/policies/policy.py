@@ -450,15 +450,14 @@ class EpisodeBatch:
 
         It is :data:`GIVE_UP` from the step on at which an episode gives up, and None once the
         episode is over at a goal or in a dead-end, whatever its state. An episode that gives up and
-        goes on has an action, and
-        ``failed`` from then on.
+        goes on has an action, and ``failed`` from then on.
 
         Args:
             states: [episodes].
 
         Raises:
-            ModelError: unknown state or another than the observed one, a wrong number of states, or
-                a state in which the policy has no decision.
+            ModelError: a wrong number of states, or a state that is unknown, is not the observed
+                one, or has no decision.
         """
         here = self._indices(states)
         if self._state is None:
