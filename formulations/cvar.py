@@ -24,8 +24,8 @@ class CVaR(Formulation):
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
-        optimum. Every threshold has a lower bound: from a checked sub-solution, for itself or for
-        an interval around it, or its own value, since no tail mean is below its threshold.
+        optimum. Every threshold z has a lower bound: a checked sub-solution for z, or for an
+        interval around z, or z itself, since no tail mean is below its threshold.
         ``lower_bound`` is the least of these bounds.
 
     Semantics:

@@ -187,7 +187,7 @@ def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
 def drawn_in_segments(
     sums: FloatArray, begins: IntArray, ends: IntArray, rng: np.random.Generator
 ) -> IntArray:
-    """Draw an entry of each segment of an array with its share of the segment's sum, [segments].
+    """Draw one entry of each segment, with a probability proportional to it, [segments].
 
     Args:
         sums: running sums of the array's entries, after a leading 0, [entries + 1].

@@ -226,7 +226,7 @@ class TotalScale(StrEnum):
 
 
 def least_failure_bound(problem: Problem) -> float | None:
-    """Return the certified lower bound of every policy's failure; None: failure has a limit."""
+    """Return a certified lower bound of every policy's failure; None with a failure budget."""
     if problem.failure_budget is not None:
         return None
     model, start, survival = problem.model, problem.start_mass, survival_of(problem.discount)

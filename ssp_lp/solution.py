@@ -136,7 +136,7 @@ class Solution(Facts, ReadOnlyCopies):
         """Compare the actions of a state: cost, failure, value at the optimal prices, and excess.
 
         Args:
-            state: of the model; of the product on (state, steps taken) with a horizon.
+            state: a state of the model or, with a horizon, of the product on (state, steps taken).
             cost_paid: in case S the cost paid before; None: the least one in the program.
 
         Raises:

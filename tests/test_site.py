@@ -1,6 +1,7 @@
 """The script that builds the site: it leads links, turns notebooks into pages, finds errors."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -107,6 +108,20 @@ def test_the_newest_version_stands_first_and_is_led_to(build, tmp_path):
     listed = json.loads((tmp_path / "versions.json").read_text(encoding="utf-8"))
     assert [entry["version"] for entry in listed] == ["0.10.0", "0.9.0", "0.2.0"]
     assert "url=0.10.0/" in (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "Page not found" in (tmp_path / "404.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("latex", "drawn"), [("x'", "mrow mrow mi mo"), (r"\pi_{or}'", "msub mrow mi mo mrow mi mi")]
+)
+def test_primes_are_no_superscripts(latex, drawn):
+    """A prime stands beside its letter, and an index beside both."""
+    sys.path.insert(0, str(ROOT / "docs" / "site"))
+    formulas = pytest.importorskip("formulas")
+    sys.path.pop(0)
+    shown = formulas._CONVERTER.convert_with_local_state(latex, displaystyle=False)
+    plain = formulas._with_plain_primes(shown)
+    assert " ".join(re.findall(r"<(m\w+)", plain.removeprefix("<math"))) == drawn
 
 
 def test_the_site_says_the_version_of_the_package(build):

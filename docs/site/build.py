@@ -46,6 +46,20 @@ UNSEARCHED = "search: {exclude: true}"
 HEADS = {"index.md": FRONT, "readme.md": UNSEARCHED}
 """Settings of pages; the README says what other pages say, too."""
 
+MISSING = """<!doctype html><html lang="en"><meta charset="utf-8">
+<title>Page not found - ssp-lp</title>
+<meta name="viewport" content="width=device-width">
+<body style="font: 1.1rem sans-serif; margin: 3rem auto; max-width: 40rem; padding: 0 1rem">
+<h1>Page not found</h1>
+<p>It may have moved. Go to the <a href="/">front page</a>.</p>
+<script>
+for (const link of document.querySelectorAll('a[href="/"]'))
+  link.href = location.pathname.replace(/\\/[0-9]+[.][0-9][^/]*\\/.*|[^/]*$/, "/")
+</script>
+"""
+"""Page for wrong addresses. A server shows it at any depth, so it needs no other file; its link
+leads to the folder of all versions or, without versions, to the folder of the address."""
+
 FOUND = ("end_probability", "failure_price")
 """Words that the pages use in code only, which the search must find."""
 
@@ -78,6 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         done = subprocess.run(command, cwd=work, env=environment, check=False)  # noqa: S603
         problems += check(work / "site") if done.returncode == 0 else ["zensical build failed"]
         if not problems:
+            (work / "site/404.html").write_text(MISSING, encoding="utf-8")
             shutil.rmtree(output, ignore_errors=True)
             shutil.copytree(work / "site", output)
     print(*problems, sep="\n", end="\n" * bool(problems), file=sys.stderr)
@@ -190,6 +205,7 @@ def list_versions(folder: Path) -> None:
     (folder / "versions.json").write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
     front = f'<!doctype html><meta http-equiv="refresh" content="0; url={versions[0]}/">\n'
     (folder / "index.html").write_text(front, encoding="utf-8")
+    (folder / "404.html").write_text(MISSING, encoding="utf-8")
 
 
 if __name__ == "__main__":

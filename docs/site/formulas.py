@@ -2,6 +2,7 @@
 
 import html
 import re
+from xml.etree import ElementTree
 
 from markdown import Markdown
 from markdown.extensions import Extension
@@ -44,4 +45,19 @@ def _drawn(found: re.Match[str]) -> str:
         drawn = _CONVERTER.convert_with_local_state(latex, displaystyle=displayed)
     except LatexError as error:
         raise ValueError(f"cannot draw the formula {latex}: {error}") from error
+    drawn = _with_plain_primes(drawn) if "\N{PRIME}" in drawn else drawn
     return f'<div class="formula">{drawn}</div>' if displayed else drawn
+
+
+def _with_plain_primes(drawn: str) -> str:
+    """Return a formula whose primes are no superscripts, which few fonts draw at a good height."""
+    formula = ElementTree.fromstring(drawn)  # noqa: S314 (made by the converter)
+    for place in list(formula.iter()):
+        if place.tag not in ("msup", "msubsup") or place[-1].text != "\N{PRIME}":
+            continue
+        base, *below, prime = place
+        prime.attrib.update({"class": "prime", "lspace": "0", "rspace": "0"})
+        primed = ElementTree.Element("mrow")
+        primed.extend([base, prime])
+        place.tag, place[:] = ("msub", [primed, *below]) if below else ("mrow", [primed])
+    return ElementTree.tostring(formula, encoding="unicode")

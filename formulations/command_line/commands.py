@@ -155,7 +155,7 @@ def problem_of(of: _CommandModel, **others: Any) -> Problem:
 
     Args:
         of: the model, with the arguments of the command.
-        others: arguments in place of those.
+        others: arguments that replace the command's.
 
     Raises:
         ModelError: an argument that the criterion does not have, lacks, or rejects.
@@ -257,7 +257,7 @@ def with_property(asked: Asked) -> Asked:
     operators = _operators_in(words)
     objectives = [one for one in operators if one.relation.endswith("?")]
     if len(objectives) != 1:
-        raise ModelError(f"{words}: one operator must ask =?, not {len(objectives)}")
+        raise ModelError(f"{words}: exactly one operator must ask =?, not {len(objectives)}")
     (objective,) = objectives
     reaching = [one for one in operators if (one.measure, one.relation) == ("P", ">=")]
     goals = {one.target for one in (objective, *reaching) if one.target is not None}

@@ -184,7 +184,7 @@ class _LayerPowers:
         return len(self.node)
 
     def _one_layer(self) -> _LayerPower:
-        """Return the step of one layer: mass without delay moves, other delays fall by one."""
+        """Return one layer's step: mass of delay 0 moves on, other delays fall by one."""
         n_nodes = len(self._lost) + 1
         columns = np.append((self.delay + 1) * n_nodes + self.node, n_nodes - 1)
         leaving = np.hstack([self._onward[:, columns].toarray(), self._lost[:, None]])
@@ -323,7 +323,7 @@ class Arrivals:
         self._masses: list[float] = []
 
     def cost_of(self, layers: IntArray) -> FloatArray:
-        """Return the total cost of layers, rounded once, like ``layers``."""
+        """Return the total cost of layers, rounded once, in the shape of ``layers``."""
         return totals_of(layers, self.unit)
 
     @property
@@ -597,7 +597,7 @@ class FollowedSums(Arrivals):
         return not self._next
 
     def cost_of(self, layers: IntArray) -> FloatArray:
-        """Return the total cost of sums, rounded once, like ``layers``."""
+        """Return the total cost of sums, rounded once, in the shape of ``layers``."""
         up, down = self.unit.numerator, self.unit.denominator
         totals = [int(layer) * up / down for layer in np.ravel(layers).tolist()]
         return np.array(totals, dtype=np.float64).reshape(np.shape(layers))

@@ -6,8 +6,8 @@ step, a kink or a utility gives bounded reach, the conditional value at risk, or
 charge is a reward. Charges do not fall as the total cost grows.
 
 A measure is a number that is computed from the *law of success costs* of a policy: the
-sub-probability law of the
-total cost C on the runs that reach the goal. Its missing mass is the failure probability.
+sub-probability law of the total cost C on the runs that reach the goal. Its missing mass is the
+failure probability.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Utility = Callable[[FloatArray], FloatArray]
 
 
 def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> FloatArray:
-    """Return the utility of each total cost, like ``costs``.
+    """Return the utility of each total cost, in the shape of ``costs``.
 
     Raises:
         ModelError: the function does not take an array, or does not return as many finite numbers;
@@ -77,7 +77,7 @@ class TailValues(NamedTuple):
         return TailValues(*[each[number] for each in self])
 
     def chosen(self, last: BoolArray) -> TailValues:
-        """Return the values of the last policy where ``last``, else of the first, like ``last``."""
+        """Return the last policy's values where ``last``, else the first's; shape of ``last``."""
         return TailValues(*[np.where(last, each[-1], each[0]) for each in self])
 
 
@@ -108,7 +108,7 @@ class Charge(ABC):
 
     @abstractmethod
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return the charge at total costs, like ``totals``."""
+        """Return the charge at total costs, in the shape of ``totals``."""
 
     @property
     def settled(self) -> float | None:
@@ -157,7 +157,7 @@ class LateCharge(Charge):
     offset = 1.0  # charge beyond the bound
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return the charge within the bound, or beyond it, like ``totals``."""
+        """Return the charge within the bound or beyond it, in the shape of ``totals``."""
         return np.where(np.asarray(totals) <= self.settled, self.lowest, self.offset)
 
     @property
@@ -189,7 +189,7 @@ class ExcessCharge(Charge):
         return 1.0 / self.share
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return the integrand, or its lower bound, like ``totals``."""
+        """Return the integrand or its lower bound, in the shape of ``totals``."""
         late = np.maximum(np.asarray(totals) - self.threshold, 0.0)
         first = self.threshold if self.first is None else self.first
         return np.asarray(np.clip(totals, first, self.threshold) + late * self.slope)
@@ -293,7 +293,7 @@ class ExpectedUtility(Reward):
         return float(self.at(np.zeros(1))[0])
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return minus (utility + bonus - utility at infinity), like ``totals``.
+        """Return minus (utility + bonus - utility at infinity), in the shape of ``totals``.
 
         Raises:
             ModelError: the utility increases, or falls below its limit at infinity.
@@ -339,7 +339,7 @@ class ExponentialUtility(Reward):
         return -(1.0 + self.bonus)
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return minus (utility + bonus), like ``totals``."""
+        """Return minus (utility + bonus), in the shape of ``totals``."""
         return np.asarray(-(np.exp(self.rate * np.asarray(totals)) + self.bonus))
 
     def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
@@ -386,7 +386,7 @@ class ExpectedArrivalCost(Charge, Measure):
         return float(self.at(np.array([self.affine_from]))[0]) - self.slope * self.affine_from
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return f at total costs, like ``totals``.
+        """Return f at total costs, in the shape of ``totals``.
 
         Raises:
             ModelError: f does not take an array, falls as the cost grows, or is below 0.

@@ -200,8 +200,8 @@ class CostLaw:
             at_infinity: its limit at infinite cost.
 
         Raises:
-            ModelError: the utility is not a finite number for each cost, or it falls so slowly, for
-                a policy of such long runs, that the table becomes too large.
+            ModelError: the utility is not a finite number for each cost, or it falls so slowly, and
+                runs are so long, that the table becomes too large.
         """
         if not isfinite(at_infinity):
             raise ModelError(f"at_infinity must be a finite number, not {in_short(at_infinity)}")
@@ -265,7 +265,7 @@ class CostLaw:
         return self._answer(atoms)
 
     def _mean(self, of: Callable[[Chain], float]) -> float:
-        """Return the mean over the lottery of a number that each member's chain gives."""
+        """Return the lottery's mean of a number that each member's chain gives."""
         numbers = zip(self._chains, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 

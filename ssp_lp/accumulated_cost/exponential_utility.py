@@ -79,13 +79,13 @@ def cost_horizon(
 
     At (s, r) the tail is optimal if no pair is better: bonus * (P(s) - Q_P(s, a)) >= exp(rate * r)
     * (Q_V(s, a) - V(s)) for all pairs, with the greatest goal probability P and the moment V of the
-    tail. Pairs that (nearly) preserve P satisfy it as V is optimal; each other pair satisfies it
+    tail. Pairs that (nearly) preserve P satisfy it since V is optimal; each other pair satisfies it
     from some r on.
 
     Args:
         model: the model.
         greatest: greatest goal probabilities and the pairs that attain them.
-        tail: the policy of greatest moment among those.
+        tail: the policy of greatest moment among policies of such pairs.
         rate: negative.
         bonus: positive.
 

@@ -3,8 +3,7 @@
 The mass of a policy is followed forwards together with the cost paid; only the layers that a step
 can reach are held. Below the cap this gives the value of the policy and the law of its total cost.
 Mass that reaches the cap continues by the policy's tails, whose chains are built explicitly. Free
-steps
-form a chain within each layer.
+steps form a chain within each layer.
 
 If a policy never reaches the goal from a state, the goal can be avoided surely there, and the
 policy may give up, since later costs do not change the cost given success.
@@ -69,7 +68,7 @@ class _Staying:
         return closed
 
     def visits(self, entering: FloatArray, inside: BoolArray, survival: float) -> FloatArray:
-        """Return the expected visits of each state within the layer, like ``entering``.
+        """Return the expected visits of each state in the layer, in the shape of ``entering``.
 
         Args:
             entering: the mass that enters the layer and, in an optional second column, this mass
@@ -150,7 +149,8 @@ class LayerMoves:
         """Mark the states from which a policy may reach marked states, in place.
 
         Args:
-            begin: the first layer; in all the layers a class of steps passes equally many layers.
+            begin: the first layer. A class of steps passes equally many layers from each of the
+                layers.
             end: the layer after the last one; layers are handled from the last one on.
             hopeful: marks, updated, [layers and layers ahead, states].
         """
@@ -258,8 +258,8 @@ class LayerMoves:
             stopped: written: mass that ends in each state, and that gives up, [2, states].
             survivals: the discounts.
             hopeful: where the goal can be reached, [layers, states]; empty: for one column.
-            charged: mean cost of a step, [pairs], and of failing, [states], where giving up is not
-                allowed, [states], and whether costs are paid where the goal is lost.
+            charged: mean cost of a step, [pairs]; cost of failing, [states]; whether giving up is
+                forbidden, [states]; and whether costs are paid after the goal is lost.
 
         Returns:
             Goal, failure, cost of success and cost until failure, [layers, discounts, 4]; None

@@ -430,7 +430,7 @@ class LayeredProcess(ChargedLayers):
 
         Args:
             price: kappa.
-            failing: weight of failure: kappa, or 0 with weight -kappa of the goal.
+            failing: weight of failure: kappa; or 0, and the goal has the weight -kappa.
         """
         charge, failure, goal = np.moveaxis(self.measures_beyond(price), -1, 0)
         return np.asarray(charge + failing * failure - (price - failing) * goal)
@@ -444,7 +444,7 @@ class LayeredProcess(ChargedLayers):
 
         Args:
             failure_price: kappa.
-            failing: weight of failure: kappa, or 0 with weight -kappa of the goal.
+            failing: weight of failure: kappa; or 0, and the goal has the weight -kappa.
         """
         tails, totals = self.tails, self.totals.beyond[:, None]
         paid = self.charge.at(totals) / self.base.survival

@@ -4,8 +4,7 @@ A backward sweep finds the optimal choice, evaluates a choice, or gives lower bo
 of every policy. A process is swept in one compiled pass in two cases: its layers have only some
 hundred nodes, so that the interpreter takes longer than the arithmetic; or every policy leaves a
 layer after a few free steps, so that equations take longer than Gauss-Seidel turns over the layer.
-If the free steps are acyclic,
-one turn is enough.
+If the free steps are acyclic, one turn is enough.
 
 A forward sweep sends on one number per node, only from nodes that the choice reaches. A backward
 sweep computes all rewards for every node of every layer.
@@ -55,7 +54,7 @@ from ssp_lp.model.graph import nearer_pairs
 _ONE, _NONE, _NO_LIMITS = np.ones(1), np.zeros(0), np.zeros((0, 0))
 
 _BELOW_EVERY_VALUE = 1e-6
-"""Relative margin of the floor below minus the price, for rounding."""
+"""The floor is minus the price, less this relative margin for rounding."""
 
 KEPT_VALUES = 25_000_000
 """Most checked values that are kept, nodes x layers: 0.2 GB. Larger tables are replaced by infinite
@@ -659,7 +658,7 @@ _LAYERS_BETWEEN = 8  # layers between two checks of it
 _SLACK = 4  # a room holds this many windows, so that all is moved once in three windows
 
 _DROPPED = 1e-9
-"""Mass of a node that a guess drops."""
+"""A guess drops nodes with less mass."""
 
 
 def follow_rule(

@@ -75,7 +75,7 @@ def layers_within(total: float | Fraction, unit: Fraction) -> int:
 
 
 def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
-    """Return the totals of layers of a lattice, rounded once, like ``layers``."""
+    """Return the totals of layers of a lattice, rounded once, in the shape of ``layers``."""
     return np.asarray(layers * float(unit.numerator) / float(unit.denominator))
 
 
@@ -99,7 +99,7 @@ def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
 
 
 def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]) -> IntArray:
-    """Return the number of units in each cost, like ``costs``.
+    """Return the number of units in each cost, in the shape of ``costs``.
 
     Raises:
         ModelError: a single step passes too many layers for a table over accumulated cost.
@@ -306,7 +306,7 @@ def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> Floa
 
 
 def _steps_to_sum(model: SSP, steps: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Return the distinct (successor, class) of each state's steps: offsets, both arrays."""
+    """Return the distinct (successor, cost class) of each state's steps: offsets and two arrays."""
     pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
     ended = dead_ends(model) | model.goal_mask
     moving = (model.probabilities > 0.0) & ~ended[model.successors] & ~ended[model.pair_state[pair]]

@@ -257,7 +257,8 @@ class OpenEnded(ChargedLayers):
     def _step_beyond(self) -> FloatArray:
         """Least cost of a step beyond the cap to runs that succeed, [pairs].
 
-        Every policy reaches the goal with at least the least goal probability.
+        Costs count only in runs that succeed, and every policy succeeds at least with
+        ``least_goal``.
         """
         if self.least_goal is None:
             return np.zeros(len(self.base.gain))

@@ -471,9 +471,9 @@ def layered_measures(
 ) -> _Measures | None:
     """Return the measures of a layered policy, or None if its chain must be built.
 
-    The chain is built if it is small, if the policy remembers more than its cost, if other
-    quantities than the cost are requested, or if a decision is missing or not allowed, which the
-    chain's error names.
+    The chain is built if it is small, if the policy remembers more than its cost, or if quantities
+    other than the cost are requested. It is also built if a decision is missing or not allowed: the
+    chain's error names the decision.
 
     Args:
         policy: on the problem's model.

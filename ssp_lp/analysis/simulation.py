@@ -217,7 +217,7 @@ class ModelSimulator:
 
 @dataclass(frozen=True, eq=False)
 class _ProductSimulator:
-    """A simulator of an original model as one of its product."""
+    """A simulator of an original model, used as a simulator of its product."""
 
     inner: Simulator
     product: ProductSSP

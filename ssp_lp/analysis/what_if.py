@@ -1,8 +1,7 @@
 """Sensitivity: derivatives of the optimum by the numbers of a problem.
 
 By the envelope theorem the derivative of the optimum is the derivative of the Lagrangian at an
-optimal
-lottery x and optimal prices. The worth of an outcome o of a pair, at the prices, is
+optimal lottery x and optimal prices. The worth of an outcome o of a pair, at the prices, is
 
     worth(o) = cost + sum of price * quantity + value of its successor,
 
@@ -583,7 +582,7 @@ class _Optimum:
 
     @property
     def _charges_tie(self) -> bool:
-        """Whether another action costs a failing run as little as the charged one."""
+        """Whether a failing run may pay the same cost by another action than the charged one."""
         model, means = self.problem.model, {id(m): cost_means(m) for _, m in self.paid}
         for _, costs, _, some in self.charged:
             pair = int(np.searchsorted(model.outcome_offsets, some.start, side="right")) - 1

@@ -149,7 +149,7 @@ class PricingProblem(ABC):
         return ()
 
     def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
-        """Return a policy of about this failure that pricing a column found; None: none."""
+        """Return a policy with about this failure that was found while pricing; None: none was."""
         return None
 
     def taken_on(self, columns: Sequence[Column]) -> list[Column] | None:

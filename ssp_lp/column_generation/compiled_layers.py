@@ -47,7 +47,7 @@ from ssp_lp.processes.live_rows import uniform_cost
 
 @dataclass(frozen=True, eq=False)
 class LayeredPricing(PricingProblem):
-    """Pricing problem of a layered process whose only row is failure; a choice has [cap, nodes]."""
+    """Pricing problem of a layered process whose only row is failure; choices are [cap, nodes]."""
 
     process: LayeredProcess
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure
@@ -252,8 +252,8 @@ class LayeredPricing(PricingProblem):
         """Return an upper bound of the dual bound's error by the cap; 0 if tails are optimal.
 
         The error is the difference at the start between two bounds: with the values of the tail
-        policies beyond the cap, and with the lower bound there. It is at most the error of the
-        choice of the second bound: mass beyond the cap times the difference there.
+        policies beyond the cap, and with the lower bound there. The choice of the second bound
+        gives an upper bound of this error: its mass beyond the cap times the difference there.
 
         Args:
             price: of failure.
@@ -311,9 +311,9 @@ class CompiledLayered(CompiledProblem):
     every state where it is possible for sure. A charge that never becomes affine is truncated and
     refined.
 
-    A cap at that price causes (almost) no error with simple tails: any policy to the goal and the
-    trivial bound of its goal probability. The exact policies of greatest goal probability are
-    computed only if the price is too large for such a cap.
+    Simple tails consist of any policy to the goal and the trivial bound of its goal probability.
+    With a cap at that price they cause (almost) no error. The exact policies of greatest goal
+    probability are computed only if the price is too large for such a cap.
     """
 
     facts: GoalFacts
@@ -391,15 +391,15 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def _has_exact_tails(self) -> bool:
-        """Whether the tails are the policies of least failure, as is stated or necessary."""
+        """Whether the tails are (stated or necessary) the policies of least failure."""
         merged = self.layer.base.quotient.merged
         return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self.is_long_shot
 
     def capped_at(self, cost: float) -> CompiledLayered:
         """Return the problem with a cap of about this accumulated cost, if its tails are simple.
 
-        If no policy avoids the goal surely from the start, every cap causes an error, and the tails
-        become exact at once.
+        If no policy surely avoids the goal from the start, every cap changes the optimum. Then the
+        tails become exact at once.
         """
         if self.tails is not Tails.ANY_WAY:
             return self
@@ -475,7 +475,7 @@ class CompiledLayered(CompiledProblem):
     def lossless_units(self, price: float) -> float:
         """Return the total from which failing is optimal at this price, with a margin.
 
-        If the charge is constant in the end, it is the total from which it is.
+        If the charge becomes constant, this is the total from which it is constant.
         """
         charge, settled = self.charge, self._settled_units()
         if charge.slope == 0.0:
@@ -510,7 +510,7 @@ class CompiledLayered(CompiledProblem):
         return replace(self, cap=wanted, tails=tails)
 
     def charging(self, charge: Charge, cap: float | None = None) -> CompiledLayered:
-        """Return the problem with another charge and cap, neither charge an exponential one."""
+        """Return the problem with another charge and cap; no charge is exponential."""
         return replace(self, charge=charge, cap=cap)
 
     def safest(self) -> CompiledLayered:

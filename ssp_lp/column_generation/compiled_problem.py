@@ -361,10 +361,10 @@ class Tails(Enum):
 
 
 _LARGE = 10_000_000
-"""Entries of a layer from which a policy to the goal is followed, not solved for."""
+"""From this many entries of a layer on, a policy to the goal is followed, not solved for."""
 
 MOST_STEPS = 256
-"""First cap, in steps, above which it is a long shot: the tail policy is no guide."""
+"""A first cap of more steps is a long shot: the tail policy is no guide."""
 
 _LEAST = 1e-12  # relative rounding of the goal probability that all safest policies attain
 
@@ -555,7 +555,7 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def may_be_rare(self) -> bool:
-        """Whether rows alone may make success rare while failure is the reward."""
+        """Whether rows may make success rare, and failure is counted rather than success."""
         is_greatest = self.semantics.aim is Aim.GREATEST_GOAL and self.objective is None
         is_free = self.ratio and self.budget is not None and self._demanded == 0.0
         return (is_greatest or is_free) and not self.by_goal
@@ -826,7 +826,7 @@ class CompiledExplicit(CompiledProblem):
         return _MOST_SWEPT if self._is_swept else written_out.MOST_WRITTEN
 
     def refined(self, price: float) -> CompiledExplicit | None:
-        """Return the problem with more layers; None: at its finest.
+        """Return the problem with more layers; None: it has the most already.
 
         Args:
             price: price of failure, which is the accumulated cost from which failing is optimal.

@@ -4,9 +4,9 @@
     subject to  sum_j w_j (activity_kj - bound_k) (- scale_k e_k) <= 0
                 sum_j w_j = 1,   w, e >= 0
 
-As the weights sum to one, the bounds are subtracted from the activities, so that small differences
-between policies near a large bound are kept. With ``elastic`` the e_k measure the violation of the
-rows in units of their scales, and costs are left out (phase 1).
+Since the weights sum to one, the bounds are subtracted from the activities, so that small
+differences between policies near a large bound are kept. With ``elastic`` the e_k measure the
+violation of the rows in units of their scales, and costs are left out (phase 1).
 
 The simplex method starts from one policy:
 
@@ -15,9 +15,9 @@ The simplex method starts from one policy:
 - If elastic, the policy of least violation with the excesses of the rows that it violates is a
   primal feasible basis: primal steps follow.
 
-Steps of the other kind repair infeasibility caused by rounding. A basis has one variable more than
-there are rows, so each step recomputes its inverse. If steps cycle, the preference of the entering
-variable changes; if cycling continues, the basis of least infeasibility is taken.
+Steps of the other kind repair infeasibility caused by rounding. A basis is small (one variable more
+than there are rows), so each step recomputes its inverse. If steps cycle, the preference of the
+entering variable changes; if cycling continues, the basis of least infeasibility is taken.
 
 The final basis is checked for primal feasibility, relative to each bound, and for dual feasibility.
 If either fails, because a limit is tiny compared with the activities, exact steps in fractions

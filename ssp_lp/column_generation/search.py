@@ -309,7 +309,7 @@ class Master:
         return False
 
     def _price_success_at(self, ratio: float) -> None:
-        """Change the ratio and lower the bound, which stays valid as failure is at most 1."""
+        """Change the ratio and lower the bound, still valid since failure is at most 1."""
         rise = ratio - self.rows.ratio
         self.bound -= max(rise if self.rows.by_goal else -rise, 0.0)
         self.rows = replace(self.rows, ratio=ratio)

@@ -103,9 +103,10 @@ def _load() -> bool:
 def accelerated(entries: float, *loops: str) -> bool:
     """Return whether compiled loops replace a numpy expression.
 
-    Each loop is judged separately. It is loaded from numba's cache, or compiled, once its numpy
-    twin has taken about as long as that takes, so that the time spent on it is at most doubled.
-    For compiling, the entries of earlier processes count as well.
+    Each loop is judged separately. First the numpy twin runs. Once it has run for about the time
+    that loading the loop from numba's cache (or compiling it) takes, the loop is loaded or
+    compiled. So the total time is at most doubled. For compiling, the entries of earlier processes
+    count as well.
 
     Args:
         entries: number of entries of the expression.

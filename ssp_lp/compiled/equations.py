@@ -376,8 +376,8 @@ def bicgstab(
 def work_of_levels(indptr: Array, indices: Array) -> tuple[int, float]:
     """Estimate the width of a component's equations, by distances from its first state.
 
-    A piece of m states is separated by a level of the first m states, which becomes a dense block:
-    the multiplications of nested dissection (George 1973) are summed over pieces of all sizes.
+    Nested dissection (George 1973): a piece of m states is cut at a level of the first m states,
+    which becomes a dense block. The multiplications are summed over pieces of all sizes.
 
     Returns:
         The greatest number of states at one distance, and the multiplications.

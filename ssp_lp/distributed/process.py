@@ -345,7 +345,7 @@ class PartitionedProcess(PricingProblem):
         return _Equations(self, np.where(closed, self._leaving, choice).astype(np.int32), values)
 
     def _giving_up(self, equations: _Equations) -> IntArray:
-        """Return the policy with giving up where it has failed, [own nodes].
+        """Return the policy, changed to give up in nodes where it has failed, [own nodes].
 
         The policy has failed in nodes where giving up is allowed and its own decisions no longer
         lead to the goal. If other ends count, or the criterion forbids giving up, the policy has
@@ -366,7 +366,7 @@ class PartitionedProcess(PricingProblem):
         rows = chosen_rows(self.dynamics.transitions, np.where(quits, self.stays, choice))
 
         def sweep(mask: BoolArray) -> BoolArray:
-            """Keep the marked nodes whose successors are all marked; others may move as well."""
+            """Keep the marks of nodes whose successors are all marked."""
             return np.asarray(mask[: len(quits)] & (rows @ ~mask == 0.0))
 
         kept = self.halo.settled(sweep, self.halo.filled(quits))[: len(quits)]
@@ -435,10 +435,10 @@ class PartitionedProcess(PricingProblem):
     def _lowered(self, weights: FloatArray, values: FloatArray) -> FloatArray:
         """Lower values to a sub-solution that a backup of all rows confirms, [own nodes].
 
-        The values move towards a constant sub-solution by the least share that suffices: a step
-        with a cost then has slack of that share of its cost. Where nothing is paid, values are
-        lowered to those of the successors. All values are lowered by a little more, as in free
-        components the sweeps would remove the solver's errors only a part at a time, without end.
+        The values move towards a constant sub-solution by the least share s that suffices: at a
+        step of cost g the slack is then s * g. Where nothing is paid, values are lowered to those
+        of the successors. All values are lowered by a little more. Without this, the sweeps in free
+        components would never end: each would remove only a part of the solver's errors.
         """
         dynamics, greatest, n = self.dynamics, self.ranks.greatest, self.halo.n_own
         cost = weighted(self.rewards, weights)

@@ -113,7 +113,7 @@ class LargeComponent:
         return order, int(np.abs(place[entry.row] - place[entry.col]).max(initial=0))
 
     def solve(self, rewards: FloatArray, x: FloatArray, accuracy: float) -> int:
-        """Solve the equations in place, given the totals of the states that it leads to.
+        """Solve the component's equations in place, given the totals of its successors.
 
         Args:
             rewards: rewards of the whole chain, [states, rewards].
@@ -387,7 +387,7 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
     factors = factorised(system, in_order=order is not None)
 
     def solve(right: FloatArray) -> FloatArray:
-        """Return the totals of a right side, refined once, of its shape."""
+        """Return the totals for a right side, in its shape, refined once."""
         ordered = right if order is None else right[order]
         solution = factors.solve(ordered)
         solution = solution + factors.solve(ordered - system @ solution)
@@ -420,7 +420,7 @@ def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width:
         raise SolverError(HOLDS_MASS)
 
     def solve(right: FloatArray) -> FloatArray:
-        """Return the totals of a right side, of its shape."""
+        """Return the totals for a right side, in its shape."""
         ordered = right[order]
         solve_eliminated(*band, ordered, size)
         return _solved_in_place(ordered, order)

@@ -1,8 +1,8 @@
 """Certified lower bounds: values v with v <= T v, checked by one backup with its rounding.
 
 If v satisfies v_s <= c_u + P_u v for every pair u of s, then v bounds the cost of every policy from
-below: for policies that leave the process by iterating the inequality, and for policies that stay
-for ever since staying is failure, which costs at least v. The inequality is checked as ``c_u +
+below. For policies that leave the process this follows by iterating the inequality. Policies that
+stay for ever fail, and failing costs at least v. The inequality is checked as ``c_u +
 sum_j p_uj (v_j - v_s) - exit_u v_s >= 0`` (see ``evaluation``).
 
 Near-optimal values violate it by rounding only, and are lowered as little as possible. The
@@ -214,9 +214,9 @@ def lowered_along_longest_run(
 ) -> FloatArray | None:
     """Lower values along the worst near-optimal policy; None if the lowering exceeds rounding.
 
-    Let each step cost minus a few times the greatest lack, plus its pair's reduced cost. With the
-    least totals w of these costs, ``v + w`` is a sub-solution. Without cycles each value is lowered
-    to its backup in turn, ends first, which is the least possible lowering.
+    Take as the cost of a step its pair's reduced cost, minus a few times the greatest lack. With
+    the least totals w of these costs, ``v + w`` is a sub-solution. Without cycles each value is
+    lowered to its backup in turn, ends first, which is the least possible lowering.
     """
     if not dynamics.is_solved_backwards:
         return None

@@ -100,7 +100,7 @@ class System:
 
     @property
     def is_solved_reward_by_reward(self) -> bool:
-        """Whether the time of an iterative solution is long and proportional to the rewards."""
+        """Whether the equations are solved by slow iterations, once for each reward."""
         return any(block.is_solved_reward_by_reward for block in self._large.values())
 
     @cached_property
@@ -132,7 +132,7 @@ class System:
 
         Args:
             rewards: [states] or [states, rewards].
-            guess: warm start of the iterative methods, like ``rewards``.
+            guess: warm start of the iterative methods, in the shape of ``rewards``.
             accuracy: relative residual of the iterative methods; other methods are always exact.
 
         Returns:

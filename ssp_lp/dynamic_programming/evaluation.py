@@ -1,9 +1,9 @@
 """Evaluation of a policy: expected totals with a verified bound of their error.
 
 Let t be a super-solution of the run length: t - chain @ t >= 1/2, checked with its rounding. If
-computed totals x have residuals of at most r in every state, then their error is at most 2 r t, as
-(I - chain)^-1 is non-negative. If r, bounded in working precision, is too large, the residual is
-computed in twice that precision (``precise_advantages``), and x is corrected, as a sum of two
+computed totals x have residuals of at most r in every state, then their error is at most 2 r t,
+since (I - chain)^-1 is non-negative. If r, bounded in working precision, is too large, the residual
+is computed in twice that precision (``precise_advantages``), and x is corrected, as a sum of two
 numbers, until the bound is small.
 
 The advantage of pair u in state s at values v is ``c_u + P_u v - v_s``, written as ``c_u + sum_j

@@ -3,8 +3,8 @@
 The probabilities of hitting and missing are each summed from their own exits, so that both are
 accurate relative to their size. A pair attains the extreme if taking it, as often as a run returns
 to it, loses no more than rounding. (In a loop that is rarely left, small losses add up.) If a
-component is too large for state reduction, a pair may lose a hundred
-``FAILURE_FLOOR`` a step, and ``LEAST_BUDGET`` over the longest run of the quickest policy.
+component is too large for state reduction, a pair may lose a hundred ``FAILURE_FLOOR`` a step, and
+``LEAST_BUDGET`` over the longest run of the quickest policy.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def _settled_reach(
 def _swept_towards(
     dynamics: Dynamics, wanted: FloatArray, asked: IntArray, last_digits: bool
 ) -> tuple[IntArray, FloatArray, FloatArray | None]:
-    """Improve a policy of extreme reach that leaves by sweeps in the order of distance.
+    """Improve, by sweeps in the order of distance, a policy of extreme reach that leaves.
 
     Values rise from 0, and each is rounded down when it takes a better pair. So the policy attains
     them, and it leaves, since values in a cycle would fall by rounding. Then values a little above

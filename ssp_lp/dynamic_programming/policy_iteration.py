@@ -4,8 +4,8 @@ A process of small components is solved in one pass, ends first. Others are solv
 rounds, whose evaluations become exact as the gains shrink. Rounds alone could be as many as a run
 has steps. Therefore the policy is also improved in place between two rounds, by Bellman backups in
 the order of the values, forward and backward. Gains spread in both directions: to the predecessors
-of a state, which come
-later in that order, and back once a better pair leads to states that were no successors before.
+of a state, which come later in that order, and back once a better pair leads to states that were no
+successors before.
 
 The last policy is evaluated with a verified bound of its error. If the process is left so rarely
 that double precision cannot compare two pairs, improvement continues in twice that precision: the

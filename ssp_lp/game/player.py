@@ -101,9 +101,8 @@ def check_alpha(alpha: object) -> None:
 class BestResponse:
     """A deterministic policy that minimises a weighted sum of the game's two costs.
 
-    If the goal is hardly ever reached, J_cond is 1 to rounding. It is then counted from ``origin``
-    = 1: the number J_cond - 1 is minus the success, which is summed separately and keeps its
-    digits.
+    If the goal is hardly ever reached, J_cond is 1 to rounding. Then ``origin`` is 1: J_cond - 1,
+    which is minus the success, is summed separately and keeps its digits.
     """
 
     objective: float  # J_obj(x'; pi), exact for the policy
@@ -272,8 +271,8 @@ class Player:
     A single layer is solved by value iteration. Several layers, up to M, are solved by one backward
     sweep over the accumulated cost, and M grows until nothing is lost beyond it. With a ``tail``, M
     is fixed to it, and pi'_or is followed once M is paid (section 3.5.1): J_obj is then discounted
-    below M only, J_cond everywhere, V as printed in the paper, and bounds hold for the policies of
-    that class, Pi_{M,pi'_or}.
+    only below M, J_cond everywhere, like V in the paper. Bounds hold for the policies of the class
+    Pi_{M,pi'_or}.
     """
 
     base: AccumulatedCost

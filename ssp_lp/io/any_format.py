@@ -131,7 +131,7 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
 
 
 def _ending_of(file: Path, endings: Sequence[str]) -> str:
-    """Return the ending of a file's name, or raise :class:`ModelError` if it is none of these."""
+    """Return the one of these endings that a file's name has; else raise :class:`ModelError`."""
     for ending in endings:
         if file.name.endswith(ending):
             return ending

@@ -14,27 +14,28 @@ This file may be copied onto a robot by itself; it needs no other part of ssp-lp
   - ``ends``: the numbers of the states in which it is over;
   - ``memory``: null, or an object whose ``kind`` is
 
-    - "layers": the cost paid in whole numbers of ``unit``, rounded up if ``rounds_up``; from
-      ``cap`` on one of ``tails`` tails: the last one if the layer has reached the state's
-      ``threshold`` (null: never), else the first. With ``levels``, which are totals, the layer is
-      the one nearest to the last level plus the cost of the step, the last of them the cap, and a
-      threshold is a total; ``acting``: for each state 1 if the memory is updated, else 0;
-    - "steps": the number of steps taken, of ``steps``, and one more after the last step in a state
-      that is ``acting``, 1 or 0 for each;
+    - "layers": the cost paid in whole numbers of ``unit``, rounded up if ``rounds_up``. From
+      ``cap`` on it is one of ``tails`` tails: the last one if the layer has reached the state's
+      ``threshold`` (null: never), else the first. ``levels``, unless null, are totals, the last of
+      which is the cap: the new layer is then the level nearest to the old level plus the cost of
+      the step, and thresholds are totals. ``acting``: for each state 1 if the memory is updated,
+      else 0;
+    - "steps": the number of steps taken. The last step, number ``steps``, leads to ``steps`` + 1 if
+      its successor is ``acting`` (1 or 0 for each state);
     - "task": a number, at first ``start``; ``moves``: [number, state, action, successor, cost, next
-      number] of each step that changes it, the cost null if it does not matter;
+      number] of each step that changes it; the cost is null if it does not matter;
 
-    - "failing": whether the run has failed, 1 or 0. It fails by a position in ``decision`` beyond
-      the last action, which stands for the same actions in turn, taken with giving up, and from the
-      states in ``lost``. For the inner memory the step that fails costs the state's ``charge``, and
-      each later step costs nothing;
+    - "failing": whether the run has failed, 1 or 0. It fails by an action taken with giving up: a
+      position in ``decision`` beyond the last action stands for the same actions in turn, with
+      giving up. It also fails by any action in the states in ``lost``. For the inner memory the
+      step that fails costs the state's ``charge``, and each later step costs nothing;
 
-    the last three with ``place``: [number][state], the situation of both, -1 for none, and
-    ``inner``: null or the inner memory, for which situations are the states;
-  - ``decision``: [memory][state], of the innermost memory and its states, the position of an
+    the last three have ``place``: [number][state], the situation of both, -1 for none, and
+    ``inner``: null or the inner memory, whose states are the situations;
+  - ``decision``: [memory][state], of the innermost memory and its states: the position of an
     action, -1 to give up, -2 for none, or a list of [position, probability];
-  - ``otherwise``, ``afterwards``, of one that acts everywhere: [state], the position of an action
-    if there is no decision, and after the member has given up or is over, -2 for none.
+  - ``otherwise`` and ``afterwards``, only in a member that acts everywhere: [state], the position
+    of an action if there is no decision, and after the member has given up or is over; -2 for none.
 """
 
 from __future__ import annotations
@@ -137,8 +138,7 @@ class Controller:
         decisions there; ``failed`` is True once the goal is given up.
 
         Raises:
-            ValueError: unknown state or another than the observed one, or a state in which the
-                policy has no decision.
+            ValueError: the state is unknown, is not the observed one, or has no decision.
             RuntimeError: no episode was begun.
         """
         _, here = self._current(), self._state(state)

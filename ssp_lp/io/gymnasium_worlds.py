@@ -764,7 +764,7 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
         model.check_step(pair, state)
         if terminated and not over[state]:
             raise ModelError(
-                f"the environment terminated in {model.states[state]!r} against its table"
+                f"the environment terminated in {model.states[state]!r}, but its table does not"
             )
         paid = float(model.step_cost(before, action, shown, float(reward)))
         check_costs(paid)

@@ -109,8 +109,8 @@ def answers_in_turn(
         program: the program.
         backend: one of BACKENDS; None: the one for the program's size.
         time_limit: seconds, for all backends together.
-        basis: basis of an answer to another program. If that has as many columns and rows and no
-            other backend is requested, HiGHS's simplex starts from it, before the other backends.
+        basis: basis of an answer to another program. If both programs have equally many columns and
+            rows, and ``backend`` requests no other, HiGHS's simplex comes first and starts from it.
 
     Raises:
         ModelError: an unknown backend.

@@ -77,7 +77,7 @@ class _Approach:
 
 
 def _is_on_rounded_costs(case: Case) -> bool:
-    """Return whether costs are rounded: a law of costs with too many sums, without rows."""
+    """Return whether costs are rounded, since their law has too many sums (never with rows)."""
     problem, written_out = case.problem, case.by_program or case.on_levels
     if problem.totals is not TotalScale.GRID or written_out:
         return False

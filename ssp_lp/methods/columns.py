@@ -385,8 +385,7 @@ def _attempt(
 
     If the budget equals the least failure, no program is solved, because its feasibility would
     depend on rounding: the column of least failure is the answer, with its own bound. The least
-    failure is
-    computed if the safest column is so near the budget that both may be equal.
+    failure is computed if the safest column is so near the budget that both may be equal.
 
     Args:
         compiled: the problem.

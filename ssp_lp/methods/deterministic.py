@@ -293,9 +293,9 @@ class _DeterministicRelaxation:
     """A process, and a relaxation that contains all its deterministic policies.
 
     The exit of a deterministic policy from a collapsed component may depend on the entry, and the
-    policy may differ from the tails beyond the cap of case S. ``relaxed`` allows for both: some
-    states ``may_randomise``, and beyond the cap success costs no more than the amount paid at the
-    cap, with any probability that some policy attains.
+    policy may differ from the tails beyond the cap of case S. ``relaxed`` allows for both. Some
+    states ``may_randomise``. Beyond the cap any success probability that some policy attains is
+    allowed, and success costs only the amount paid at the cap.
     """
 
     compiled: CompiledProblem

@@ -554,7 +554,7 @@ class _OptimumPoints:
         return max(proved, attained) if frontier.maximises else min(proved, attained)
 
     def least(self, bound: float) -> float:
-        """Return a lower bound within a bound: the least over t of the greatest line."""
+        """Return a lower bound of the objective within a bound of the traced quantity."""
         beyond = bound - self.bounds
         tells = (beyond <= 0.0) | np.isfinite(self.prices)
         saved = np.where(np.isfinite(self.prices), self.prices, 0.0) * beyond
@@ -751,7 +751,7 @@ def _traced_by_columns(problem: Problem, limits: _TraceLimits) -> Frontier:
 
 
 def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
-    """Return an upper bound of the frontier's relative error by the cap on the cost."""
+    """Return an upper bound of the frontier's relative error that the cap on the cost causes."""
     if len(traced.price) == 0:
         return 0.0
     lost = np.inf
@@ -850,7 +850,7 @@ class _Optima:
         return max(abs(worth(p.value)), abs(worth(q.value)), _LEAST)
 
     def _mixed(self, p: _Optimum, q: _Optimum, bound: float) -> float:
-        """Return the value of the lottery of two optima that meets a bound between them."""
+        """Return the value of two optima's lottery that meets a bound between them."""
         w = (bound - p.spent) / (q.spent - p.spent)
         goals = ((1.0 - w) * p.goal, w * q.goal) if self.stated.ratio else (1.0 - w, w)
         return (goals[0] * p.value + goals[1] * q.value) / sum(goals)

@@ -103,7 +103,7 @@ class Optimum(Answer, Generic[_Compiled]):
         return two_sided_gap(worth(self.value), worth(self.bound)) if is_attained else np.inf
 
     def guess(self, spread: float | None = None) -> DualGuess:
-        """Return the price of failure as a first price on a similar problem.
+        """Return the price of failure, a first guess for a similar problem.
 
         Args:
             spread: relative uncertainty; None: the uncertainty on the next finer process.

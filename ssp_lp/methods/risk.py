@@ -245,7 +245,7 @@ class _Question(ABC):
         """Return a lower bound of E[charge | goal] at a guess of the prices."""
 
     def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
-        """Return a function of lower bounds of Pr(C > B | goal), by the number of the bound B.
+        """Return a function from the number of a bound B to a lower bound of Pr(C > B | goal).
 
         Args:
             number: number of the greatest bound.
@@ -503,8 +503,8 @@ def _beyond_refuted(question: _Question, refuted: int) -> float:
 def _late_share(level: float) -> float:
     """Return the share of the successes that may lie beyond the quantile, with its tolerance.
 
-    It is below 1 at every level, since some success must lie within the quantile, by more than
-    rounding.
+    The share is below 1 at every level, by more than rounding: some success lies within the
+    quantile.
     """
     return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
 

@@ -17,9 +17,9 @@ few costs that are split hardly matter, both bounds meet at once. Otherwise the 
 follows and starts at the price found.
 
 **Rounded costs, criteria of the law of the total cost.** With every cost rounded down to a multiple
-of a unit, a model has a lattice of totals. As charges do not fall as the total grows, its optimum
-is a lower bound for every policy of the true model. With every cost rounded up, the best policy,
-which remembers the rounded total, is also a policy of the true model, with the same goal
+of a unit, a model has a lattice of totals. Since charges do not fall when the total grows, its
+optimum is a lower bound for every policy of the true model. With every cost rounded up, the best
+policy, which remembers the rounded total, is also a policy of the true model, with the same goal
 probability and at most the rounded costs. The two optima enclose the true one for every unit, and
 converge as the unit gets smaller (mathematics, section 8). Coarse units are solved in a moment;
 finer ones follow as time allows.
@@ -148,7 +148,7 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
 
 
 def _split_run(options: SolveOptions, outcome: Optimum[Any]) -> Run:
-    """Return the run of searches on split costs."""
+    """Describe the run of a search on split costs."""
     reason = (
         f"costs split between {outcome.compiled.layers:,} layers, {outcome.calls} pricing calls"
     )
@@ -533,7 +533,7 @@ def split_optimum(
 
 
 def _unit_of(outcome: Optimum[Any]) -> Fraction:
-    """Return the unit of the process of an outcome."""
+    """Return the cost unit of an optimum's process."""
     return cast("CompiledLayered", outcome.compiled).layer.base.exact_unit
 
 
@@ -644,7 +644,7 @@ def lattice_bound(
 
 
 def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
-    """Return a policy of the model with rounded costs as a policy of the model itself.
+    """Translate a policy of the model with rounded costs to the model itself.
 
     A policy without memory gets one layer, so that its costs are rounded in the same way.
 

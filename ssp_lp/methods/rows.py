@@ -127,7 +127,7 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 def _may_be_rarer(
     stated: CompiledExplicit, optimum: Optimum[CompiledExplicit], options: SolveOptions
 ) -> bool:
-    """Return whether the optimum improves if rare success is counted by the goal's probability.
+    """Return whether the goal's probability instead of 1 - failure improves the optimum.
 
     The search uses slightly tighter rows, so that no success comes from the tolerance of a row.
     """
@@ -458,8 +458,7 @@ def opened(stated: CompiledExplicit, options: SolveOptions) -> tuple[CompiledExp
     """Run phase 1; return the problem and the search that phase 2 starts from.
 
     If the budget equals the least failure, the problem becomes the problem of least failure. The
-    least
-    failure is not computed if a policy of phase 1 fails less often than the budget allows.
+    least failure is not computed if a policy of phase 1 fails less often than the budget allows.
     """
     if not (stated.limits_failure and stated.is_whole):
         compiled = stated.settled()

@@ -318,7 +318,7 @@ class ContinuousModel:
     not be of one shape, so work with them as with numbers (``np.where``, no boolean masks).
     It returns one array for each axis, the cost (>= 0) and the end. The end is a whole number: 0 if
     the episode goes on, 1 if it reached the goal, 2, 3, ... if it failed in the first, second, ...
-    dead-end. Each of them is a number, or an array that broadcasts to the rest.
+    dead-end. Each is a number, or an array that broadcasts to the others.
 
     Attributes:
         grid: the box of coordinates and its cells.

@@ -79,7 +79,7 @@ class Quadrature:
         return _Trials(tuple(map(len, shares)), None if equal else combined, draw, repeatable=True)
 
     def _parts(self, model: ContinuousModel) -> list[tuple[FloatArray, FloatArray]]:
-        """Return points and weights by axis, in widths of a cell, and by random number."""
+        """Return points and weights for each axis, in cell widths, and for each random number."""
         n_axes, n_noise = len(model.grid.axes), len(model.noise)
         given = self.points
         counts: list[Any] = np.ravel(given).tolist() * (1 if np.ndim(given) else n_axes + n_noise)

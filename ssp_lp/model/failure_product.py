@@ -93,7 +93,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def stop_marks(self) -> IntArray:
-        """Number of the end of a run that stops in a state, [states].
+        """How a run that stops in each state ends, as a number, [states].
 
         A dead-end's own number, otherwise the number of giving up (``graph.end_marks``).
         """
@@ -102,7 +102,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def end_marks(self) -> IntArray:
-        """Number of the end of a run that ends in a state, -1 if it continues, [states]."""
+        """How a run in each state ends, as a number; -1: it continues, [states]."""
         return np.where(self.goal_mask, 0, np.where(self.ended, self.stop_marks, -1))
 
     @cached_property

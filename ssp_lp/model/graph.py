@@ -402,7 +402,7 @@ def close_pairs(
 
 
 def end_marks(model: SSP) -> IntArray:
-    """Return the number of the end of a run that ends in each state, -1: it continues, [states].
+    """Return how a run in each state ends, as a number; -1: it continues, [states].
 
     0 is the goal, 1 .. k the model's labels in their order (at dead-ends that bear them; the
     first label counts), k + 1 a dead-end without a label; k + 2 having given up before.
@@ -418,7 +418,7 @@ def end_marks(model: SSP) -> IntArray:
 
 
 def stop_marks(model: SSP) -> IntArray:
-    """Return the number of the end of a run that stops in each state, [states].
+    """Return how a run that stops in each state ends, as a number, [states].
 
     Numbers as in :func:`end_marks`; k + 2 is having given up.
     """

@@ -124,7 +124,7 @@ class Exploration:
         self._look_at([0.0] * len(self.flat.states))
 
     def grow(self, wanted: Iterable[int], most: float) -> None:
-        """Expand given states, then states of least cost paid plus cost bound, up to a number.
+        """Expand the given states, then those with the least cost paid plus cost bound.
 
         Args:
             wanted: numbers of states.

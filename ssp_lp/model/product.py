@@ -593,7 +593,7 @@ def unroll_steps(
         )
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the numbers of steps after outcomes, [entries]; after the last it is late."""
+        """Return the numbers of steps after outcomes, [entries]; a run is late after the last."""
         if not (before == steps - 1).any():
             return before + 1
         return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round

@@ -347,7 +347,7 @@ class SSP(Graph, ReadOnlyCopies):
             cost: the column of the cost, or several columns: the first one is the model's own cost,
                 and each can be limited, ``secondary_cost("fuel") <= 3``.
             state_labels: names for sets of states, as in ``from_transitions``.
-            dead_ends: the states without rows that are not goals; any other one is then an error.
+            dead_ends: all states without rows that are not goals; any other such state is an error.
             normalise: divide probabilities by their sum if it misses 1 by at most 1e-5.
 
         Raises:
@@ -432,7 +432,7 @@ class SSP(Graph, ReadOnlyCopies):
                 possible but was never seen needs a row of count 0.
             cost: the column of the cost, or of several, as in :meth:`from_frame`.
             state_labels: names for sets of states, as in ``from_transitions``.
-            dead_ends: the states without rows that are not goals; any other one is then an error.
+            dead_ends: all states without rows that are not goals; any other such state is an error.
 
         Raises:
             ModelError: as in :meth:`from_frame`, a count that is not a whole number >= 0, or an
@@ -1160,7 +1160,7 @@ def check_hashable(state: Any, where: str) -> None:
         hash(state)
     except TypeError as error:
         raise ModelError(
-            f"{where}: {in_short(state)} cannot be a state, which must not contain a {_UNHASHABLE}"
+            f"{where}: {in_short(state)} cannot be a state: states must not contain a {_UNHASHABLE}"
         ) from error
 
 

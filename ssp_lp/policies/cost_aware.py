@@ -199,7 +199,7 @@ class CostAwarePolicy(Policy):
         rank = np.where(self.tail_threshold > farthest, len(edges), asks)
 
         def reached(total: FloatArray) -> IntArray:
-            """Return the layer that each total leads to, like ``total``."""
+            """Return the layer that each total leads to, in the shape of ``total``."""
             nearest = _nearest_cost_level(levels, total)
             beyond = np.searchsorted(edges, total, side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
@@ -258,7 +258,7 @@ class CostAwarePolicy(Policy):
 
 
 def _evenly_spaced(levels: FloatArray, costs: FloatArray, most: int) -> int:
-    """Return the number of first levels from which each step passes equally many levels.
+    """Return how many first levels are evenly spaced: a step passes equally many from each.
 
     Args:
         levels: levels of a cost-aware policy, [levels].

@@ -450,15 +450,14 @@ class EpisodeBatch:
 
         It is :data:`GIVE_UP` from the step on at which an episode gives up, and None once the
         episode is over at a goal or in a dead-end, whatever its state. An episode that gives up and
-        goes on has an action, and
-        ``failed`` from then on.
+        goes on has an action, and ``failed`` from then on.
 
         Args:
             states: [episodes].
 
         Raises:
-            ModelError: unknown state or another than the observed one, a wrong number of states, or
-                a state in which the policy has no decision.
+            ModelError: a wrong number of states, or a state that is unknown, is not the observed
+                one, or has no decision.
         """
         here = self._indices(states)
         if self._state is None:
@@ -585,8 +584,7 @@ class Episode:
         True once the goal is given up.
 
         Raises:
-            ModelError: unknown state or another than the observed one, or a state in which the
-                policy has no decision.
+            ModelError: the state is unknown, is not the observed one, or has no decision.
         """
         return self._alone.actions([state])[0]
 
@@ -702,8 +700,7 @@ class StochasticPolicy(Policy):
 
     Situations are sorted by (memory, state). The memory is updated like the memory of ``carrier``;
     without a carrier the policy is stationary on the model's states. The randomised policy
-    equivalent to a
-    mixed policy (paper, section 2.2) has this form.
+    equivalent to a mixed policy (paper, section 2.2) has this form.
     """
 
     model: SSP
@@ -749,13 +746,13 @@ class StochasticPolicy(Policy):
         flows: FloatArray,
         carrier: Policy | None = None,
     ) -> StochasticPolicy:
-        """Return the policy that draws each decision with its share of its situation's flow.
+        """Return the policy that draws a situation's decisions in proportion to their flow.
 
         Args:
             model: the model.
             keys: memory * n_states + state of each decision; any order, repetitions allowed.
-            pairs: pair of the model or GIVE_UP_CODE, like ``keys``.
-            flows: expected number of times of the decision, like ``keys``.
+            pairs: pair of the model or GIVE_UP_CODE, for each key.
+            flows: expected number of times that the decision is taken, for each key.
             carrier: policy whose memory the keys have; None: no memory.
         """
         joint, back = np.unique(keys * (model.n_pairs + 1) + pairs + 1, return_inverse=True)

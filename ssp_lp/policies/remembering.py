@@ -39,14 +39,14 @@ from ssp_lp.policies.policy import (
 
 
 class _Carried(Policy):
-    """Policy with an inner policy's memory and a digit: ``inner memory * len(digits) + digit``."""
+    """Policy with an own memory (digit) too: ``inner memory * len(digits) + digit``."""
 
     inner: Policy
 
     @property
     @abstractmethod
     def digits(self) -> Sequence[Hashable]:
-        """Names of the digit's values."""
+        """Names of the values of the own memory."""
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
@@ -64,7 +64,7 @@ class _Carried(Policy):
         return self.inner.goes_on
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the digits, each with the inner policy's memories if it has any."""
+        """Return the own memories, each with the inner policy's memories if it has any."""
         return [
             (code * len(self.digits) + k, word if words is None else (word, words))
             for k, word in enumerate(self.digits)
@@ -72,11 +72,11 @@ class _Carried(Policy):
         ]
 
     def split(self, memory: IntArray) -> tuple[IntArray, IntArray]:
-        """Return the inner memory and the digit, [episodes] each."""
+        """Return the inner memory and the own one, [episodes] each."""
         return np.divmod(memory, len(self.digits))
 
     def joined(self, inner: IntArray, digit: IntArray | int) -> IntArray:
-        """Return the memory made of an inner memory and a digit, [episodes]."""
+        """Return the memory made of an inner and an own one, [episodes]."""
         return np.asarray(inner * len(self.digits) + digit)
 
 
@@ -85,8 +85,8 @@ class _Carried(Policy):
 class TimedPolicy(_Carried):
     """One policy for each time step; the last one acts in all later steps (paper, section 3.4).
 
-    The stages must share one memory: each must understand the memory of all others. The digit is
-    the stage.
+    The stages must share one memory: each must understand the memory of all others. Its own memory
+    is the stage.
 
     Raises:
         ModelError: no stages, or stages on different models.
@@ -165,7 +165,7 @@ def merged(memory: IntArray, *parts: Branches) -> Branches:
 class JointMemory(Policy):
     """A policy that keeps the memories of several policies in one number.
 
-    The memory is a mixed-radix number, the first policy's memory its leading digit.
+    The memory is a mixed-radix number; its leading digit is the first policy's memory.
     """
 
     keepers: tuple[Policy, ...]  # one for each memory, all of which have a known size
@@ -226,7 +226,7 @@ class JointMemory(Policy):
 
 
 def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
-    """Return the members of a lottery whose memories together include all members' memories.
+    """Return one member of a lottery for each kind of memory that its members have.
 
     Raises:
         ModelError: a member is of a class with unknown memory.
@@ -244,7 +244,7 @@ def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
 class RememberingPolicy(_Carried):
     """A policy of (state, memory) that acts on states and updates the memory itself.
 
-    The digit is the product's memory.
+    Its own memory is the product's.
     """
 
     inner: Policy  # on the product
@@ -264,7 +264,7 @@ class RememberingPolicy(_Carried):
 
     @property
     def step_limit(self) -> int | None:  # type: ignore[override]
-        """Step limit of the policy: the least of its products'."""
+        """Least of the step limits of the product and of the inner policy."""
         own = self.product.steps if isinstance(self.product, HorizonSSP) else None
         return min((n for n in (own, self.inner.step_limit) if n is not None), default=None)
 
@@ -349,7 +349,7 @@ class LabelledPolicy(_Carried):
     """A policy of (state, failure label) that acts on states, also after failing.
 
     Giving up is combined with an action, and remembered as "giving up". In a dead-end the policy
-    continues if its problem counts quantities there. The digit is the label.
+    continues if its problem counts quantities there. Its own memory is the label.
     """
 
     inner: Policy  # on the product with the label
@@ -441,8 +441,8 @@ class _Label(enum.IntEnum):
 class CompletePolicy(_Carried):
     """A policy that extends another one to all states with actions.
 
-    The digit is 0 while the inner policy acts, 1 once its episode is over (given up, or at a
-    dead-end), and 2 in episodes that begin in a state in which the inner policy cannot begin.
+    Its own memory is 0 while the inner policy acts, 1 once the inner policy's episode is over
+    (given up, or at a dead-end), and 2 in episodes that begin where the inner policy cannot begin.
 
     Raises:
         ModelError: a decision is not a pair of its state.

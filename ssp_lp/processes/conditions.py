@@ -94,7 +94,7 @@ class UpperRow:
 
     @property
     def by_digits(self) -> UpperRow:
-        """The form of the row, with or without complements, whose bound keeps its digits.
+        """The form of the row (with or without complements) whose bound loses fewer digits.
 
         Terms without complements may be negative where an episode ends.
         """
@@ -212,9 +212,9 @@ class Condition:
             if weight < 0.0:
                 if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
-                        f"constraint {self.name!r} bounds costs, visits or exceeds from below: "
-                        "add a row of your own to problem.program() instead (not with criteria of "
-                        "the total cost)"
+                        f"constraint {self.name!r} bounds costs, visits or exceeds(...) from "
+                        "below: add a row of your own to problem.program() instead (not with "
+                        "criteria of the total cost)"
                     )
                 offset -= weight
                 term, weight = replace(term, others=not term.others), -weight

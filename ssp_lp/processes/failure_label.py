@@ -155,7 +155,7 @@ def counting_of(
     semantics: FailureSemantics,
     discount: float | None = None,
 ) -> Counting:
-    """Return the counting of further quantities at the pairs of the process.
+    """Return how further quantities are counted at the pairs of the process.
 
     Args:
         labelled: the process; only components that are free in all quantities are collapsed.

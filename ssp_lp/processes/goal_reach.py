@@ -65,7 +65,7 @@ class GoalReach:
 
 @dataclass(frozen=True, eq=False)
 class ReachPolicy:
-    """A stationary policy of extreme goal probability, or moment, with its values."""
+    """A stationary policy of extreme goal probability (or E[survival^T; goal]), with its values."""
 
     decision: IntArray  # [states]
     values: TailValues  # [states] each, of following it from each state
@@ -199,8 +199,7 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
 
     A transition of cost g to x' costs g * reach(x'), under discounting with the factors from x' on,
     so that the second stage is an ordinary problem without accumulated cost (paper, S3P;
-    mathematics,
-    section 4). Free end components are collapsed: a policy must leave them.
+    mathematics, section 4). Free end components are collapsed: a policy must leave them.
     """
     early = np.where(model.goal_mask, 0.0, reach.goal / survival)
     weight = np.where(model.goal_mask, 1.0, survival * early)

@@ -127,7 +127,7 @@ class Quantity:
     __array_ufunc__ = None  # so that NumPy numbers can scale it
 
     def __array__(self, *_: object) -> None:
-        """Raise an error, as ``parameter * quantity`` of cvxpy would treat it as an array.
+        """Raise an error: ``parameter * quantity`` would treat the quantity as an array (cvxpy).
 
         Raises:
             ModelError: always.
@@ -178,7 +178,7 @@ class Quantity:
         return Constraint(self, lower=_quantity_number(bound))
 
     def __lt__(self, bound: object) -> Constraint:
-        """Raise an error, as a limit includes its bound.
+        """Raise an error: a limit includes its bound (``<=`` or ``>=``).
 
         Raises:
             ModelError: always.
@@ -186,7 +186,7 @@ class Quantity:
         raise ModelError(f"a limit includes its bound: write {self!r} <= {bound!r}")
 
     def __gt__(self, bound: object) -> Constraint:
-        """Raise an error, as a limit includes its bound.
+        """Raise an error: a limit includes its bound (``<=`` or ``>=``).
 
         Raises:
             ModelError: always.
@@ -219,7 +219,7 @@ class Constraint:
         return f"{low}{self.quantity!r}{high}"
 
     def __bool__(self) -> bool:
-        """Raise an error, as ``0.1 <= quantity <= 0.2`` would silently drop its first half.
+        """Raise an error: ``0.1 <= quantity <= 0.2`` would silently drop its first half.
 
         Raises:
             ModelError: always.
@@ -424,7 +424,9 @@ def _listed_costs(model: SSP, cost: NestedCosts) -> FloatArray:
     for state, actions in cost.items():
         places = model.places_of(state)
         if not isinstance(actions, Mapping):
-            raise ModelError(f"state {state!r}: not {{action: cost}}: {actions!r}")
+            raise ModelError(
+                f"the costs of state {state!r} must be {{action: cost}}, not {actions!r}"
+            )
         acting = [int(k) for k in places if model.pair_offsets[k] < model.pair_offsets[k + 1]]
         if not acting and isinstance(model, ProductSSP) and model.find(state) is None:
             _listed_costs(model.original, {state: actions})  # without actions there: only check
@@ -656,7 +658,7 @@ def _looked_up_term(model: SSP, counted: Counted) -> Term:
 
 
 def _as_an_action(model: SSP, word: Hashable) -> str:
-    """Return a hint if a word in place of a state is, or resembles, the name of an action."""
+    """Return a hint if a word that is no state is, or resembles, the name of an action."""
     meant = nearest_name(word, model.action_names)
     if meant is None or nearest_name(word, model.states) is not None:
         return ""

@@ -61,9 +61,8 @@ class OccupationMeasure:
     """Expected visits of every pair of the process, with the prices and the status of the solver.
 
     The visits are, to rounding, the visits of the policy that the solver's answer describes.
-    Objective,
-    activity and residual are recomputed from these visits and the program. The residual is the
-    amount by which a row is exceeded, which a solver's tolerance allows.
+    Objective, activity and residual are recomputed from these visits and the program. The residual
+    is the amount by which a row is exceeded, which a solver's tolerance allows.
     """
 
     program: OccupationProgram
@@ -193,11 +192,10 @@ class OccupationMeasure:
 
         If the measure is a vertex of the program, there is at most one member more than there are
         rows that hold with equality; otherwise there may be more members. The objective and the
-        failure of
-        an optimal measure are preserved. Secondary costs, and the cost of a measure found with
-        other objectives or rows, may be lower: visits that circulate for ever belong to no
-        deterministic policy that leaves, and a member that can no longer reach the goal has failed
-        and pays nothing more.
+        failure of an optimal measure are preserved. Secondary costs, and the cost of a measure
+        found with other objectives or rows, may be lower: visits that circulate for ever belong to
+        no deterministic policy that leaves, and a member that can no longer reach the goal has
+        failed and pays nothing more.
 
         If the visits balance only within a solver's tolerance, noise is removed, at the smallest
         level at which they become the visits of a policy.

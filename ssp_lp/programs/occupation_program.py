@@ -148,7 +148,7 @@ class _Reduction:
         return self._by_copy(taken, self.spread.per_taking)[stated.part.pairs]
 
     def departures(self, stated: Augmented, visits: FloatArray) -> FloatArray:
-        """Return the visits of the reduced pairs, [pairs], for those stated, [stated pairs]."""
+        """Translate visits, [stated pairs], to visits of the reduced pairs, [pairs]."""
         gone = self._by_copy(stated.in_all_copies(visits), self.spread.departures)
         return gone[self.program.augmented.part.pairs]
 
@@ -428,7 +428,7 @@ class OccupationProgram(Report):
         raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
 
     def infeasible(self) -> InfeasibleError:
-        """Return the error that no visits satisfy all rows."""
+        """Return the error for rows that no visits satisfy together."""
         if self.remade is not None:
             try:  # names the least failure, or the rows in conflict
                 self.remade(self.bounds)

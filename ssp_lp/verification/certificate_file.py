@@ -114,7 +114,7 @@ def check_certificate(path: str | Path, *, problem: Problem | None = None) -> Ch
 
 
 def _checked(lines: reading.Lines, expected: str | None = None) -> Checked:
-    """Return the verdict on the lines of a certificate that is accepted."""
+    """Check the lines of a certificate; return the verdict if they are accepted."""
     bounds, question, digests = reading.check(lines, expected)
     names = {}
     states = islice(lines(), 1, 1 + question["states"])
@@ -496,7 +496,7 @@ def _best_proof(
 
 
 def _prices(program: Program, solved: Solution) -> list[Fraction]:
-    """Return the solution's prices of rows as first prices; failure's price includes the ratio."""
+    """Return first prices, the solution's prices of the rows; that of failure adds the ratio's."""
     of_failure, asked = solved.failure_price, program.question
     if of_failure is None or not math.isfinite(of_failure):
         of_failure = _STEEP * (1.0 + abs(solved.objective)) * (asked["failure"][1] < 1)

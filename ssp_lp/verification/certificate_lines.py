@@ -3,8 +3,8 @@
 With ``expand.py`` and ``prove.py`` beside it, this needs Python's standard library alone. A file is
 unpacked and read line by line: the question, a line for each state, and the proof of each program
 of the question. Least failure, or a share of the greatest goal probability, is proved first, and
-bounds the failure that the second program allows. A quantile B also needs two programs. Given
-success, one lottery exceeds B rarely enough, and every lottery is at least B too often.
+bounds the failure that the second program allows. A quantile B also needs two programs, both given
+success: a lottery exceeds B rarely enough, and every lottery has a total of at least B too often.
 """
 
 import gzip
@@ -41,7 +41,7 @@ Lines = Callable[[], Iterator[bytes]]  # lines of a file, from the first one at 
 
 
 def lines_of(path: Any) -> Lines:
-    """Return a reader of a file's lines; it refuses lines that are too many or too long."""
+    """Return a reader of a file's lines; lines too long, or too many for its size, are refused."""
 
     def lines() -> Iterator[bytes]:
         """Yield the lines from the first one on."""

@@ -1,6 +1,7 @@
 """Proofs of a certificate's programs: exact bounds and lotteries by column generation.
 
-This module need not be trusted, as ``prove.py`` checks its results. Numbers are whole multiples of
+This module need not be trusted, since ``prove.py`` checks its results. Numbers are whole multiples
+of
 1 / ``ONE``, called units. Values at prices come from policy iteration, which starts from a policy
 that is optimal in working precision. Its equations are solved by a factorisation in working
 precision, refined until they hold up to some units. The values are then lowered by a tiny share of

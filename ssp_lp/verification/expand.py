@@ -1,7 +1,7 @@
 """The linear program of a question about a model, with its columns in fractions.
 
 This module proves nothing; it interprets a question: which states are dead-ends, where a policy
-may give up, which cost failing has, where waiting for ever is free, how totals are counted.
+may give up, what failing costs, where waiting for ever is free, how totals are counted.
 ``prove.py`` reads the resulting program and uses none of these terms. Numbers in parentheses are
 those of the definitions on the page on the format; ``program.columns()`` states the program.
 """

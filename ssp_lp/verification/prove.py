@@ -21,8 +21,8 @@ most its u_0, if
 The quantities of a lottery are the weighted means of its members' quantities. It satisfies a row if
 its value is at most `least`; prices are multiplied by `most`, or by the lottery's value if greater.
 
-Ratio objective / (1 - row 0): it is at least r if p_0 >= r and bound >= r (1 - bound_0), because
-p_0 - r is a price of row 0, too, and r is the price of the rest of it.
+Ratio objective / (1 - row 0): it is at least r if objective + r row 0 >= r. This holds if p_0 >= r
+and bound >= r (1 - bound_0): then p_0 - r is the price of row 0 as a limit.
 """
 
 import re

@@ -3,7 +3,8 @@
 The file states the certificate's last program. Variables are the columns x >= 0; constraints are a
 flow balance for each node, and the rows. The bound is a linear combination of the constraints: v of
 each node, minus the price of each row, plus the slack of each column's inequality. For a ratio the
-program minimises N + r F, as N + r F >= r says that the ratio is at least r. The format is that of
+program minimises N + r F, since N + r F >= r says that the ratio is at least r. The format is that
+of
 Cheung, Gleixner and Steffy, "Verifying Integer Programming Results", IPCO 2017.
 """
 

@@ -156,8 +156,8 @@ class UmbArchive:
     def variables(self) -> dict[str, list[Hashable]]:
         """Return the values of the variables in each state, by name, each [states].
 
-        Empty if the archive describes none, or several classes of states, or a variable that is
-        optional or neither a bool nor a whole or floating number.
+        The result is empty if the archive describes no variables, or several classes of states, or
+        an optional variable, or one of a type other than bool, whole and floating numbers.
 
         Raises:
             ModelError: the values do not fit their description.
