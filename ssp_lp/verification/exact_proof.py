@@ -228,8 +228,7 @@ def _best_of_block(ways: Sequence[_Way]) -> Iterable[tuple[int, int]]:
     """
     if not any(way.outcomes for way in ways):
         return ((value, w) for w, value in zip(*sub_solution(ways, ()), strict=True))
-    size = ways[-1].node + 1
-    dynamics = _dynamics_of(ways, size)
+    dynamics = _dynamics_of(ways, ways[-1].node + 1)
     free = (dynamics.exits == 0.0) & np.array([way.own == 0 for way in ways])
     component, stays = end_components(dynamics.graph, free)
     names = [c if c >= 0 else -1 - n for n, c in enumerate(component.tolist())]
@@ -239,7 +238,8 @@ def _best_of_block(ways: Sequence[_Way]) -> Iterable[tuple[int, int]]:
     leaving.sort(key=lambda w: group[ways[w].node])
     grouped = [_Way(group[node], total, [(a, group[j]) for a, j in outcomes], own)
                for node, total, outcomes, own in map(ways.__getitem__, leaving)]  # fmt: skip
-    best, values = sub_solution(grouped, near_choice(grouped, len(number)))
+    contracted = _dynamics_of(grouped, len(number)) if stays.any() else dynamics
+    best, values = sub_solution(grouped, near_choice(grouped, contracted))
     taken = np.zeros(len(ways), dtype=np.bool_)
     taken[[leaving[w] for w in best]] = True
     # in a component: to where it is left
@@ -317,23 +317,25 @@ def best_values(
     raise SolverError("policy iteration does not end: round costs that differ by about 1e-40")
 
 
-def near_choice(ways: Sequence[_Way], n_nodes: int) -> list[int]:
+def near_choice(ways: Sequence[_Way], dynamics: Dynamics) -> list[int]:
     """Return a way for each node, nearly best, found in working precision; every node is left.
 
     Args:
         ways: ways of all nodes, node by node.
-        n_nodes: number of nodes.
+        dynamics: the same in working precision.
 
     Raises:
         SolverError: a node cannot be left.
     """
-    dynamics = _dynamics_of(ways, n_nodes)
-    choice = nearer_pairs(dynamics.graph, dynamics.exits > 0.0)
+    costs, leaves = np.array([way.own / way.total / ONE for way in ways]), dynamics.exits > 0.0
+    choice = nearer_pairs(dynamics.graph, leaves)
     if choice.min() < 0:
         raise SolverError("some states cannot be left")
-    costs = np.array([way.own / way.total / ONE for way in ways])[:, None]
+    # to a cheap exit where there is one: giving up everywhere would be undone state by state
+    cheap = nearer_pairs(dynamics.graph, leaves & (costs <= costs[leaves].mean()))
+    choice = np.where(cheap < 0, choice, cheap)
     with suppress(SolverError):
-        choice = iterate_policy(dynamics, costs, np.ones(1), choice, precise=False).choice
+        choice = iterate_policy(dynamics, costs[:, None], np.ones(1), choice, precise=False).choice
     return list(map(int, choice))
 
 
