@@ -43,13 +43,12 @@ from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution, as_solved
 from ssp_lp.verification import certificate_lines as reading
 from ssp_lp.verification.certificate_lines import NOTHING
-from ssp_lp.verification.exact_proof import Decide, Member, Nodes, line_of, proof_of
+from ssp_lp.verification.exact_proof import Decide, Nodes, line_of, proof_of
 from ssp_lp.verification.expand import Program, State
 from ssp_lp.verification.prove import Bounds, RefusedError, number
 
 _CAPS, _NARROW = 12, 1e-10  # number of caps to try, and the relative width that ends the trials
 _MOST_NODES = 2_000_000
-_STEEP = 1000.0  # price of failing with least failure, times 1 + |objective|
 _FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
 _IN_MEMORY = ": certify(solution) proves it in memory"
@@ -469,12 +468,9 @@ def _best_proof(
     cap, widths = _first_cap(asked, solved), [math.inf]
     for _ in range(_CAPS):
         nodes = Nodes(program_of(asked, statement, cap), len(statement.model))
-        first, prices = list[Member](), [Fraction(0)] * len(nodes.program.rows)
-        if step != "least":
-            policy = solved.policy
-            first = [nodes.member(_decider(nodes, one, solved)) for one in policy.policies]
-            prices = _prices(nodes.program, solved) if step == "main" else prices
-        proof, bounds = proof_of(nodes, first, prices)
+        first = solved.policy.policies if step != "least" else ()
+        members = [nodes.member(_decider(nodes, one, solved)) for one in first]
+        proof, bounds = proof_of(nodes, members)
         widths.append(float(bounds.upper - bounds.lower) / (1 + abs(float(bounds.upper))))
         if len(widths) == 2 or widths[-1] < widths[-2]:
             best = proof, bounds
@@ -484,17 +480,6 @@ def _best_proof(
             break
         cap *= 2
     return best
-
-
-def _prices(program: Program, solved: Solution) -> list[Fraction]:
-    """Return the solution's prices of rows as first prices; failure's price includes the ratio."""
-    of_failure, asked = solved.failure_price, program.question
-    if of_failure is None or not math.isfinite(of_failure):
-        of_failure = _STEEP * (1.0 + abs(solved.objective)) * (asked["failure"][1] < 1)
-    given = [of_failure, *(solved.prices.get(row.name, 0.0) for row in program.rows[1:])]
-    prices = [Fraction(text_of(max(price, 0.0))) for price in given]
-    prices[0] += Fraction(text_of(solved.objective)) * asked["ratio"]
-    return prices
 
 
 def _first_cap(asked: Mapping[str, Any], solved: Solution) -> Fraction:

@@ -431,15 +431,12 @@ def lower_bound(
     return bound / goal if goal > 0 else None
 
 
-def proof_of(
-    nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]
-) -> tuple[list[bytes], Bounds]:
+def proof_of(nodes: Nodes, first: Sequence[Member]) -> tuple[list[bytes], Bounds]:
     """Find the best proof of a program: generate columns until both bounds agree.
 
     Args:
         nodes: nodes of the program.
-        first: members of a nearly optimal lottery.
-        prices: nearly optimal prices.
+        first: members of a nearly optimal lottery, whose prices are nearly optimal.
 
     Returns:
         The lines of the proof in a file, and the interval that it proves.
@@ -447,12 +444,30 @@ def proof_of(
     Raises:
         SolverError: no lottery satisfies the rows.
     """
-    program, prices = nodes.program, list(prices)
-    rows, ratio = program.rows, bool(program.question["ratio"])
+    program, rows, ratio = nodes.program, nodes.program.rows, bool(nodes.program.question["ratio"])
     members = {frozenset(one.decision.items()): one for one in first}
-    most, less, far = [row.most for row in rows], _LESS, Fraction(1)
+    most, less, far, is_new = [row.most for row in rows], _LESS, Fraction(1), True
     best: tuple[Fraction, list[Fraction], dict[int, int]] | None = None
+    prices, lower, lottery = [ZERO] * len(rows), None, _Lottery([], [ZERO] * len(rows), ZERO)
     for turn in range(_ROUNDS):
+        if members:
+            totals = [one.totals for one in members.values()]
+            lottery = best_lottery(totals, rows, EXCESS, ratio=ratio)
+        if lottery.weights and not (turn and lower is None and not is_new):
+            width = ONE if best is None else lottery.value + program.objective.constant - best[0]
+            enough = (_NARROW if nodes.size > _MANY else _LESS) * (1 + abs(lottery.value))
+            if width <= enough or not is_new:
+                break
+            prices, less = list(map(_of_few_digits, lottery.prices)), _LESS
+            if ratio:
+                prices[0] += lottery.value * (1 - _LESS * (most[0] >= 1))
+        elif lottery.weights:  # try to prove a slightly smaller ratio
+            prices, less = [_of_few_digits(prices[0] * (1 - less)), *prices[1:]], less * 10**4
+        elif members:
+            if not is_new and far > 10**30:
+                break
+            far *= _FAR
+            prices = [_of_few_digits(far * price) for price in lottery.prices]
         values = nodes.values(prices)
         lower = lower_bound(program, prices, values[0], most)
         if lower is not None and (best is None or lower > best[0]):
@@ -460,30 +475,12 @@ def proof_of(
         member = nodes.member(nodes.last.__getitem__)
         is_new = (key := frozenset(member.decision.items())) not in members
         members[key] = member
-        lottery = best_lottery([one.totals for one in members.values()], rows, EXCESS, ratio=ratio)
-        if not lottery.weights:
-            if not is_new and far > 10**30:
-                break
-            far *= _FAR
-            prices = [_of_few_digits(far * price) for price in lottery.prices]
-            continue
-        if lower is None and not is_new:  # try to prove a slightly smaller ratio
-            prices, less = [_of_few_digits(prices[0] * (1 - less)), *prices[1:]], less * 10**4
-            continue
-        width = ONE if best is None else lottery.value + program.objective.constant - best[0]
-        enough = (_NARROW if nodes.size > _MANY else _LESS) * (1 + abs(lottery.value))
-        if width <= enough or (turn and not is_new and lower is not None):
-            break
-        prices, less = list(map(_of_few_digits, lottery.prices)), _LESS
-        if ratio:
-            prices[0] += lottery.value * (1 - _LESS * (most[0] >= 1))
     if best is None or not lottery.weights:
         raise SolverError(_broken(rows, members.values(), lottery.prices))
-    totals = [one.totals for one in members.values()]
     exact = best_lottery(totals, rows, ZERO, ratio=ratio)
     if exact.weights and exact.value <= lottery.value + _NARROW * (1 + abs(lottery.value)):
         lottery = exact
-    chosen = zip(lottery.weights, members.values(), strict=True)
+    chosen = zip(lottery.weights, members.values(), strict=False)  # without one of a last round
     drawn = [(w / sum(lottery.weights), one) for w, one in chosen if w]
     means = [sum((w * one.totals[q] for w, one in drawn), ZERO) for q in range(len(rows) + 1)]
     paid = [max(one) for one in zip(most, means[1:], strict=True)]
