@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import gzip
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -43,13 +43,12 @@ from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution, as_solved
 from ssp_lp.verification import certificate_lines as reading
 from ssp_lp.verification.certificate_lines import NOTHING
-from ssp_lp.verification.exact_proof import Decide, Member, Nodes, line_of, proof_of
+from ssp_lp.verification.exact_proof import Decide, Nodes, line_of, proof_of
 from ssp_lp.verification.expand import Program, State
 from ssp_lp.verification.prove import Bounds, RefusedError, number
 
 _CAPS, _NARROW = 12, 1e-10  # number of caps to try, and the relative width that ends the trials
 _MOST_NODES = 2_000_000
-_STEEP = 1000.0  # price of failing with least failure, times 1 + |objective|
 _FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
 _IN_MEMORY = ": certify(solution) proves it in memory"
@@ -212,7 +211,23 @@ class Statement:
     @cached_property
     def states(self) -> list[bytes]:
         """Lines of the model's states."""
-        return list(self._states())
+        model = self.flat.model
+        texts = [[str(exact[c]) if c in exact else text_of(c) for c in costs.tolist()]
+                 for costs, exact in self.costs]  # fmt: skip
+        chances = list(map(text_of, model.probabilities.tolist()))
+        successors, pairs = model.successors.tolist(), model.pair_offsets.tolist()
+        bounds, goal = model.outcome_offsets.tolist(), model.goal_mask.tolist()
+        lines = list[bytes]()
+        for x in range(model.n_states):
+            actions = []
+            for k in range(pairs[x], pairs[x + 1]):
+                some = slice(bounds[k], bounds[k + 1])
+                moves = [list(one) for one in zip(chances[some], successors[some], strict=True)]
+                paid = [t[some] if len(set(t[some])) > 1 else t[some][0] for t in texts]
+                actions.append([str(model.action_of(k)), moves, paid])
+            sets = ["goal"] * goal[x] + [name for name, mask in self.sets.items() if mask[x]]
+            lines.append(line_of({"name": str(model.states[x]), "sets": sets, "actions": actions}))
+        return lines
 
     @cached_property
     def model(self) -> list[State]:
@@ -247,32 +262,25 @@ class Statement:
                 side = "at_most" if is_most else "at_least"
                 rows.append({"name": upper.name, "quantity": row, side: bound})
         start = problem.start if isinstance(problem.start, Mapping) else {problem.start: 1.0}
-        failure: Any = "0"
+        failure: Any = "least"
         if problem.reach_fraction is not None:
             failure = {"share": text_of(problem.reach_fraction)}
-        elif not semantics.forbids_failing:
-            budget = problem.failure_budget
-            failure = "least" if budget is None else text_of(max(budget, 0.0))
-            failure = None if budget is not None and budget >= 1.0 else failure
+        elif semantics.forbids_failing:
+            failure = "0"
+        elif (budget := problem.failure_budget) is not None:
+            failure = None if budget >= 1.0 else text_of(max(budget, 0.0))
         greatest = semantics.aim is Aim.GREATEST_GOAL or semantics.maximises
         return {
-            "format": reading.FORMAT,
-            "states": flat.model.n_states,
-            "costs": len(self.costs),
+            "format": reading.FORMAT, "states": flat.model.n_states, "costs": len(self.costs),
             "sets": list(self.sets),
             "start": [[text_of(p), problem.model.index_of(x)] for x, p in start.items()],
             "give_up": str(semantics.give_up),
             "charge_failing_step": bool(semantics.charge_failing_step),
-            "greatest": objective is None and greatest,
-            "objective": sought,
-            "failure": failure,
+            "greatest": objective is None and greatest, "objective": sought, "failure": failure,
             "discount": None if problem.discount is None else text_of(problem.discount),
-            "horizon": problem.horizon,
-            "rows": rows,
-            "ratio": bool(problem.ratio),
-            "charge": [],
+            "horizon": problem.horizon, "rows": rows, "ratio": bool(problem.ratio), "charge": [],
             "quantile": None if semantics.risk is None else text_of(semantics.risk.level),
-        }
+        }  # fmt: skip
 
     def _steps(self, charge: Charge) -> list[list[str]]:
         """Return a charge as steps, one at each total at the goal if the charge is not linear."""
@@ -336,24 +344,6 @@ class Statement:
             known = next((n for n in names if n not in {"goal", LATE, *self.sets}), known)
             self.sets[known] = mask
         return known
-
-    def _states(self) -> Iterator[bytes]:
-        """Yield the lines of the model's states."""
-        model = self.flat.model
-        texts = [[str(exact[c]) if c in exact else text_of(c) for c in costs.tolist()]
-                 for costs, exact in self.costs]  # fmt: skip
-        chances = list(map(text_of, model.probabilities.tolist()))
-        successors, pairs = model.successors.tolist(), model.pair_offsets.tolist()
-        bounds, goal = model.outcome_offsets.tolist(), model.goal_mask.tolist()
-        for x in range(model.n_states):
-            actions = []
-            for k in range(pairs[x], pairs[x + 1]):
-                some = slice(bounds[k], bounds[k + 1])
-                moves = [list(one) for one in zip(chances[some], successors[some], strict=True)]
-                paid = [t[some] if len(set(t[some])) > 1 else t[some][0] for t in texts]
-                actions.append([str(model.action_of(k)), moves, paid])
-            sets = ["goal"] * goal[x] + [name for name, mask in self.sets.items() if mask[x]]
-            yield line_of({"name": str(model.states[x]), "sets": sets, "actions": actions})
 
 
 @lru_cache(1 << 14)
@@ -478,12 +468,9 @@ def _best_proof(
     cap, widths = _first_cap(asked, solved), [math.inf]
     for _ in range(_CAPS):
         nodes = Nodes(program_of(asked, statement, cap), len(statement.model))
-        first, prices = list[Member](), [Fraction(0)] * len(nodes.program.rows)
-        if step != "least":
-            policy = solved.policy
-            first = [nodes.member(_decider(nodes, one, solved)) for one in policy.policies]
-            prices = _prices(nodes.program, solved) if step == "main" else prices
-        proof, bounds = proof_of(nodes, first, prices)
+        first = solved.policy.policies if step != "least" else ()
+        members = [nodes.member(_decider(nodes, one, solved)) for one in first]
+        proof, bounds = proof_of(nodes, members)
         widths.append(float(bounds.upper - bounds.lower) / (1 + abs(float(bounds.upper))))
         if len(widths) == 2 or widths[-1] < widths[-2]:
             best = proof, bounds
@@ -493,17 +480,6 @@ def _best_proof(
             break
         cap *= 2
     return best
-
-
-def _prices(program: Program, solved: Solution) -> list[Fraction]:
-    """Return first prices, the solution's prices of the rows; that of failure adds the ratio's."""
-    of_failure, asked = solved.failure_price, program.question
-    if of_failure is None or not math.isfinite(of_failure):
-        of_failure = _STEEP * (1.0 + abs(solved.objective)) * (asked["failure"][1] < 1)
-    given = [of_failure, *(solved.prices.get(row.name, 0.0) for row in program.rows[1:])]
-    prices = [Fraction(text_of(max(price, 0.0))) for price in given]
-    prices[0] += Fraction(text_of(solved.objective)) * asked["ratio"]
-    return prices
 
 
 def _first_cap(asked: Mapping[str, Any], solved: Solution) -> Fraction:

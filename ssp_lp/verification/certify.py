@@ -110,10 +110,7 @@ def _proved(solution: Solution, evaluation: Evaluation, members: list[Evaluation
     try:
         proved = approach.prove(solution, evaluation, attained)
     except ModelError:  # a table that is too large
-        if (
-            not (approach.afresh and case.has_cheapest_way)
-            or solution.problem.failure_budget is None
-        ):
+        if not (approach.afresh and case.has_cheapest_way):
             raise
         return prove_by_cheapest_way(solution.problem, evaluation)
     if proved.gap <= RELATIVE_GAP or proved.reason or not case.has_cheapest_way:

@@ -229,8 +229,7 @@ def _best_of_block(ways: Sequence[_Way]) -> Iterable[tuple[int, int]]:
     """
     if not any(way.outcomes for way in ways):
         return ((value, w) for w, value in zip(*sub_solution(ways, ()), strict=True))
-    size = ways[-1].node + 1
-    dynamics = _dynamics_of(ways, size)
+    dynamics = _dynamics_of(ways, ways[-1].node + 1)
     free = (dynamics.exits == 0.0) & np.array([way.own == 0 for way in ways])
     component, stays = end_components(dynamics.graph, free)
     names = [c if c >= 0 else -1 - n for n, c in enumerate(component.tolist())]
@@ -240,7 +239,8 @@ def _best_of_block(ways: Sequence[_Way]) -> Iterable[tuple[int, int]]:
     leaving.sort(key=lambda w: group[ways[w].node])
     grouped = [_Way(group[node], total, [(a, group[j]) for a, j in outcomes], own)
                for node, total, outcomes, own in map(ways.__getitem__, leaving)]  # fmt: skip
-    best, values = sub_solution(grouped, near_choice(grouped, len(number)))
+    contracted = _dynamics_of(grouped, len(number)) if stays.any() else dynamics
+    best, values = sub_solution(grouped, near_choice(grouped, contracted))
     taken = np.zeros(len(ways), dtype=np.bool_)
     taken[[leaving[w] for w in best]] = True
     # in a component: to where it is left
@@ -318,23 +318,25 @@ def best_values(
     raise SolverError("policy iteration does not end: round costs that differ by about 1e-40")
 
 
-def near_choice(ways: Sequence[_Way], n_nodes: int) -> list[int]:
+def near_choice(ways: Sequence[_Way], dynamics: Dynamics) -> list[int]:
     """Return a way for each node, nearly best, found in working precision; every node is left.
 
     Args:
         ways: ways of all nodes, node by node.
-        n_nodes: number of nodes.
+        dynamics: the same in working precision.
 
     Raises:
         SolverError: a node cannot be left.
     """
-    dynamics = _dynamics_of(ways, n_nodes)
-    choice = nearer_pairs(dynamics.graph, dynamics.exits > 0.0)
+    costs, leaves = np.array([way.own / way.total / ONE for way in ways]), dynamics.exits > 0.0
+    choice = nearer_pairs(dynamics.graph, leaves)
     if choice.min() < 0:
         raise SolverError("some states cannot be left")
-    costs = np.array([way.own / way.total / ONE for way in ways])[:, None]
+    # to a cheap exit where there is one: giving up everywhere would be undone state by state
+    cheap = nearer_pairs(dynamics.graph, leaves & (costs <= costs[leaves].mean()))
+    choice = np.where(cheap < 0, choice, cheap)
     with suppress(SolverError):
-        choice = iterate_policy(dynamics, costs, np.ones(1), choice, precise=False).choice
+        choice = iterate_policy(dynamics, costs[:, None], np.ones(1), choice, precise=False).choice
     return list(map(int, choice))
 
 
@@ -430,15 +432,12 @@ def lower_bound(
     return bound / goal if goal > 0 else None
 
 
-def proof_of(
-    nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]
-) -> tuple[list[bytes], Bounds]:
+def proof_of(nodes: Nodes, first: Sequence[Member]) -> tuple[list[bytes], Bounds]:
     """Find the best proof of a program: generate columns until both bounds agree.
 
     Args:
         nodes: nodes of the program.
-        first: members of a nearly optimal lottery.
-        prices: nearly optimal prices.
+        first: members of a nearly optimal lottery, whose prices are nearly optimal.
 
     Returns:
         The lines of the proof in a file, and the interval that it proves.
@@ -446,12 +445,30 @@ def proof_of(
     Raises:
         SolverError: no lottery satisfies the rows.
     """
-    program, prices = nodes.program, list(prices)
-    rows, ratio = program.rows, bool(program.question["ratio"])
+    program, rows, ratio = nodes.program, nodes.program.rows, bool(nodes.program.question["ratio"])
     members = {frozenset(one.decision.items()): one for one in first}
-    most, less, far = [row.most for row in rows], _LESS, Fraction(1)
+    most, less, far, is_new = [row.most for row in rows], _LESS, Fraction(1), True
     best: tuple[Fraction, list[Fraction], dict[int, int]] | None = None
+    prices, lower, lottery = [ZERO] * len(rows), None, _Lottery([], [ZERO] * len(rows), ZERO)
     for turn in range(_ROUNDS):
+        if members:
+            totals = [one.totals for one in members.values()]
+            lottery = best_lottery(totals, rows, EXCESS, ratio=ratio)
+        if lottery.weights and not (turn and lower is None and not is_new):
+            width = ONE if best is None else lottery.value + program.objective.constant - best[0]
+            enough = (_NARROW if nodes.size > _MANY else _LESS) * (1 + abs(lottery.value))
+            if width <= enough or not is_new:
+                break
+            prices, less = list(map(_of_few_digits, lottery.prices)), _LESS
+            if ratio:
+                prices[0] += lottery.value * (1 - _LESS * (most[0] >= 1))
+        elif lottery.weights:  # try to prove a slightly smaller ratio
+            prices, less = [_of_few_digits(prices[0] * (1 - less)), *prices[1:]], less * 10**4
+        elif members:
+            if not is_new and far > 10**30:
+                break
+            far *= _FAR
+            prices = [_of_few_digits(far * price) for price in lottery.prices]
         values = nodes.values(prices)
         lower = lower_bound(program, prices, values[0], most)
         if lower is not None and (best is None or lower > best[0]):
@@ -459,30 +476,12 @@ def proof_of(
         member = nodes.member(nodes.last.__getitem__)
         is_new = (key := frozenset(member.decision.items())) not in members
         members[key] = member
-        lottery = best_lottery([one.totals for one in members.values()], rows, EXCESS, ratio=ratio)
-        if not lottery.weights:
-            if not is_new and far > 10**30:
-                break
-            far *= _FAR
-            prices = [_of_few_digits(far * price) for price in lottery.prices]
-            continue
-        if lower is None and not is_new:  # try to prove a slightly smaller ratio
-            prices, less = [_of_few_digits(prices[0] * (1 - less)), *prices[1:]], less * 10**4
-            continue
-        width = ONE if best is None else lottery.value + program.objective.constant - best[0]
-        enough = (_NARROW if nodes.size > _MANY else _LESS) * (1 + abs(lottery.value))
-        if width <= enough or (turn and not is_new and lower is not None):
-            break
-        prices, less = list(map(_of_few_digits, lottery.prices)), _LESS
-        if ratio:
-            prices[0] += lottery.value * (1 - _LESS * (most[0] >= 1))
     if best is None or not lottery.weights:
         raise SolverError(_broken(rows, members.values(), lottery.prices))
-    totals = [one.totals for one in members.values()]
     exact = best_lottery(totals, rows, ZERO, ratio=ratio)
     if exact.weights and exact.value <= lottery.value + _NARROW * (1 + abs(lottery.value)):
         lottery = exact
-    chosen = zip(lottery.weights, members.values(), strict=True)
+    chosen = zip(lottery.weights, members.values(), strict=False)  # without one of a last round
     drawn = [(w / sum(lottery.weights), one) for w, one in chosen if w]
     means = [sum((w * one.totals[q] for w, one in drawn), ZERO) for q in range(len(rows) + 1)]
     paid = [max(one) for one in zip(most, means[1:], strict=True)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -10,7 +10,17 @@ import pytest
 from scipy.optimize import linprog
 
 import ssp_lp.verification.certify as certificates
-from formulations import GUBS, MCMP, S3P, AlphaMCMP, CostBoundedReach, CostQuantile, CVaR, MaxProb
+from formulations import (
+    GUBS,
+    MCMP,
+    S3P,
+    AlphaMCMP,
+    CostBoundedReach,
+    CostQuantile,
+    CVaR,
+    LeastQuantity,
+    MaxProb,
+)
 from mazes import MAZE
 from refusing import refused
 from small_models import model_of
@@ -22,10 +32,12 @@ from ssp_lp import (
     certify,
     end_probability,
     evaluate,
+    expected_cost,
     secondary_cost,
     solve,
     write_certificate,
 )
+from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.verification.certify import certificate_of
 from ssp_lp.verification.exact_proof import best_lottery
 from ssp_lp.verification.prove import EXCESS, Row
@@ -375,6 +387,32 @@ def test_a_budget_is_kept_but_for_rounding():
     for beyond, accepted in ((5e-13, True), (5e-12, False)):
         problem = replace(solution.problem, failure_budget=0.25 - beyond)
         assert certify(replace(solution, problem=problem)).accepted == accepted
+
+
+def test_a_limit_that_the_policy_breaks_is_named():
+    """A policy that meets 0.25 exactly is refused where 0.2 is allowed."""
+    few = {"few": end_probability("d") <= 0.25}
+    solution = solve(MCMP(risky_or_safe(0.5, 3.0), "way 0", 1.0, constraints=few))
+    assert certify(solution).accepted
+    fewer = replace(solution.problem, constraints={"few": end_probability("d") <= 0.2})
+    reason = certify(replace(solution, problem=fewer)).reason
+    assert reason == "the policy spends 0.25 of 'few', 0.2 allowed"
+
+
+@dataclass(frozen=True)
+class LeastCostOfReaching(LeastQuantity):
+    """A quantity takes the place of the objective, here of the goal probability."""
+
+    aim = Aim.GREATEST_GOAL
+
+
+def test_a_quantity_is_minimised_whatever_its_formulation_aims_at():
+    """Half of the runs take the risk of 1/2: the cost is 1 + 1 + 1/2 * 2, bounded from below."""
+    problem = LeastCostOfReaching(risky_or_safe(0.5, 3.0), "way 0", expected_cost(), 0.25)
+    certificate = certify(solve(problem))
+    assert certificate.upper_bound is None
+    assert certificate.lower_bound <= 3.0
+    assert (certificate.objective, certificate.gap) == pytest.approx((3.0, 0.0), abs=1e-9)
 
 
 @pytest.mark.parametrize(
