@@ -12,26 +12,36 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 
-from ssp_lp.analysis.worst_case import worst_case
-from ssp_lp.arrays import LEAST_BUDGET, IntArray
+from ssp_lp.analysis.worst_case import worst_case, worst_charges
+from ssp_lp.arrays import IMPROVEMENT, LEAST_BUDGET, BoolArray, IntArray, expected
 from ssp_lp.column_generation.column import two_sided_gap
 from ssp_lp.column_generation.restricted_master import MasterOptimum
 from ssp_lp.column_generation.search import secant
-from ssp_lp.compiled.deadline import WithIncumbent, limited
+from ssp_lp.compiled.deadline import WithIncumbent, is_late, limited
 from ssp_lp.errors import InfeasibleError, ModelError, check_between_0_and_1
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.boxes import Boxes
 from ssp_lp.model.report import Facts, Table
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy, Policy
-from ssp_lp.policies.boxed_chain import MOST_ROUNDS
-from ssp_lp.policies.policy import as_lottery
+from ssp_lp.policies.boxed_chain import MOST_ROUNDS, boxed_chain
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
 from ssp_lp.problem import Problem, check_boxed, check_problem
-from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.reductions.robust import completed, ending, settled, solved_at
+from ssp_lp.reductions.robust import (
+    check_ends,
+    completed,
+    ending,
+    settled,
+    solved_at,
+    worst_loss,
+    worst_means,
+)
 from ssp_lp.solving import solve
+
+_BESIDE = 50  # most plans that differ from one in a single state
 
 
 @dataclass(frozen=True, repr=False)
@@ -78,7 +88,8 @@ def tighten(
     Column generation. At a price of failure, the plan with the best worst case is computed, then
     the optimal lottery at these worst probabilities. Both give plans, and the lottery gives a
     bound. The next price is the price of this lottery, or of the best lottery over the plans found
-    so far.
+    so far. At the end the plans of the lottery are changed, in all states and one by one, while
+    this improves it.
 
     Args:
         problem: ``MCMP`` with a failure budget.
@@ -122,6 +133,7 @@ def tighten(
                 pool.add(decision)
                 for policy in as_lottery(at_worst.policy).policies:
                     pool.add(completed(policy, decision, pool.ends))
+            pool.refine()
         return pool.tightened()
 
 
@@ -132,6 +144,7 @@ class _Pool:
     problem: Problem
     box: Boxes
     ends: IntArray  # decisions that give up wherever a plan may, [states]
+    surely: BoolArray  # states from which these surely end, [states]
     plans: dict[tuple[float, float], Policy] = field(default_factory=dict)  # by their worst values
     lower_bound: float = 0.0
     adverse_price: float = 0.0  # of the last optimum at adverse probabilities
@@ -164,6 +177,50 @@ class _Pool:
             else:
                 return
 
+    def refine(self) -> None:
+        """Add plans beside those of the lottery until it is no better for it."""
+        value = np.inf
+        while (best := self.lottery()).value < value and not is_late():
+            plans, value = [*self.plans.values()], best.value * (1.0 - IMPROVEMENT)
+            for k in np.flatnonzero(best.weights).tolist():
+                for decision in self._beside(plans[k], float(best.prices[0])):
+                    self.add(decision)
+
+    def _beside(self, plan: Policy, price: float) -> Iterator[IntArray]:
+        """Yield plans that differ from one: in all states in which this seems better, or in one.
+
+        An action is compared at the worst cost and the worst failure of the plan after it, each at
+        its own nature and the latter at the price of failure; the best changes come first.
+        """
+        box, model, start = self.box, self.box.support, self.problem.start_mass
+        reached = np.zeros(model.n_states, dtype=np.bool_)
+        reached[boxed_chain(box, plan, start).chain.state] = True
+        decision = np.where(reached, cast("DeterministicPolicy", plan).decision, self.ends)
+        missed = (~model.goal_mask).astype(np.float64)
+        acting = self.surely & (decision != UNDECIDED)
+        stopping, entering = worst_charges(self.problem.semantics, box)
+        stops = np.flatnonzero(acting & reached & np.isfinite(stopping))
+        charges = missed * np.where(acting & np.isfinite(stopping), stopping, entering)
+        cost = worst_loss(box, decision, acting, charges, charges)
+        failure = worst_loss(box, decision, acting, missed, None)
+        means = (worst_means(box, worth)[1] for worth in (
+            model.costs + cost[model.successors], failure[model.successors]))  # fmt: skip
+        own, failing = means
+        code = np.append(np.arange(model.n_pairs), np.full(stops.size, GIVE_UP_CODE))
+        state = np.append(model.pair_state, stops)
+        then = np.append(own + price * failing, stopping[stops] + price)
+        gain = (cost + price * failure)[state] - then
+        some = np.flatnonzero((acting & reached)[state] & (code != decision[state]))
+        some = some[np.argsort(-gain[some], kind="stable")]
+        every = np.array(decision)
+        for k in some[gain[some] > 0.0][::-1].tolist():
+            every[state[k]] = code[k]
+        yield every
+        for k in some[:_BESIDE].tolist():
+            other = np.array(decision)
+            other[state[k]] = code[k]
+            yield other
+
     def tightened(self) -> Tightened:
         """Return the best lottery with its bound."""
         best, policies = self.lottery(), [*self.plans.values()]
@@ -184,17 +241,18 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
     Raises:
         InfeasibleError: even this plan's worst failure probability exceeds the budget.
     """
-    budget, ends = problem.failure_budget, ending(box, problem.semantics)[0]
-    loss, decision, *_ = settled(box, replace(problem.semantics, aim=Aim.GREATEST_GOAL))
-    least = float(problem.start_mass @ loss)
+    budget, (ends, _, rank, _) = problem.failure_budget, ending(box, problem.semantics)
+    loss, decision, *_ = settled(box, problem.semantics, safest=True)
+    check_ends(problem.semantics, problem.model, problem.start_mass, loss)
+    least = float(expected(problem.start_mass, loss))
     if budget is not None and least > budget + LEAST_BUDGET:
+        every = "policy of finite worst cost" if rank.any() else "policy"
         raise InfeasibleError(
-            f"every policy fails with probability {least:.6g} at some probabilities in the boxes, "
+            f"every {every} fails with probability {least:.6g} at some probabilities in the boxes, "
             f"and the budget is {budget:.6g}: allow more, or collect more counts",
             failure_budget=budget,
             least_failure=least,
         )
-    lost = (loss >= 1.0) & (decision >= 0)  # no policy earns anything there but costs
-    pool = _Pool(problem, box, ends)
-    pool.add(np.where(lost, ends, decision))
+    pool = _Pool(problem, box, ends, rank == 0)
+    pool.add(decision)
     return pool

@@ -39,14 +39,7 @@ def test_no_lottery_over_worst_values_is_better_and_no_bound_is_above_any(seed, 
     stated = {**given, "charge_failing_step": how == "charged"}
     least = 1.0 - solve(MaxProb(model, "a", box=boxes)).objective
     problem = MCMP(model, "a", failure_budget=least + 0.3 * rng.random() * (1.0 - least), **stated)
-    every = [*policies_of(model, may_give_up=True)] if how == "anywhere" else [
-        *stopping_policies(model)
-    ]  # fmt: skip
-    figures = [evaluate(policy, problem, box=boxes) for policy in every]
-    cost = np.array([one.objective for one in figures])
-    failure = np.array([one.failure_probability for one in figures])
-    kept = np.isfinite(cost)
-    best = least_mean(cost[kept], failure[kept], problem.failure_budget)
+    best = best_of_all(boxes, problem, how)
     found = tighten(problem, boxes)
     assert found.objective >= best - 1e-9
     assert found.lower_bound <= best + 1e-9
@@ -62,6 +55,84 @@ def test_no_lottery_over_worst_values_is_better_and_no_bound_is_above_any(seed, 
     for price in (1.0, 4.0, 20.0):
         robust = solve(FinitePenalty(model, "a", price, box=boxes, **stated)).objective
         assert robust - price * problem.failure_budget <= best + 1e-8
+
+
+@pytest.mark.parametrize("seed", [86, 152, 315, 549, 683, 687])
+def test_plans_priced_at_one_nature_are_not_the_best_for_two(seed):
+    """Draws in which the best plans at one nature for cost and failure were up to 58 % worse."""
+    rng, how = np.random.default_rng(1000 + seed), ["anywhere", "attention", "charged"][seed % 3]
+    small = seed % 5 > 0
+    boxes = drawn_boxes(
+        rng,
+        n_states=2 if small else 3,
+        zeros=seed % 4 == 0,
+        even=how == "charged",
+        most_actions=2 + seed % 2 * small,
+    )
+    stated = {
+        "give_up": "anywhere" if how == "anywhere" else "attention",
+        "charge_failing_step": how == "charged",
+    }
+    least = 1.0 - solve(MaxProb(boxes.model, "a", box=boxes)).objective
+    budget = least + 0.3 * rng.random() * (1.0 - least)
+    problem = MCMP(boxes.model, "a", failure_budget=budget, **stated)
+    best = best_of_all(boxes, problem, how)
+    assert tighten(problem, boxes).objective == pytest.approx(best, rel=1e-9)
+
+
+def best_of_all(boxes, problem, how):
+    """The least mean cost of a lottery over all plans, each at its own worst values."""
+    every = (
+        policies_of(boxes.model, may_give_up=True)
+        if how == "anywhere"
+        else stopping_policies(boxes.model)
+    )
+    figures = [evaluate(policy, problem, box=boxes) for policy in every]
+    cost = np.array([one.objective for one in figures])
+    failure = np.array([one.failure_probability for one in figures])
+    kept = np.isfinite(cost)
+    return least_mean(cost[kept], failure[kept], problem.failure_budget)
+
+
+def test_states_that_nature_never_leaves_are_avoided():
+    """Through the bog a run may never end, at a cost: the lottery mixes the other ways."""
+    ways = {
+        "fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        "safe": [(1.0, "home", 3.0)],
+        "short": [(0.9, "home", 0.5), (0.1, "bog", 0.5)],
+    }
+    bog = {"try": [(0.5, "home", 1.0), (0.5, "bog", 1.0)]}
+    model = SSP.from_transitions(
+        {"road": ways, "bog": bog, "ditch": {}}, {"home"}, dead_ends={"ditch"}
+    )
+    low = np.array([0.8, 0.0, 1.0, 0.8, 0.0, 0.0, 0.0])
+    boxes = Boxes(model, low, [1.0, 0.2, 1.0, 1.0, 0.2, 1.0, 1.0])
+    found = tighten(MCMP(model, "road", failure_budget=0.05), boxes)
+    assert found.objective == pytest.approx(0.25 * 1.0 + 0.75 * 3.0)
+    assert found.failure_probability == pytest.approx(0.05)
+    assert found.lower_bound <= found.objective
+    dear = FinitePenalty(model, "road", 100.0, box=boxes)
+    assert solve(dear).objective == pytest.approx(3.0)
+    refused = MCMP(model, "bog", failure_budget=0.5)
+    with pytest.raises(ModelError, match="state 'bog': the boxes allow probabilities with which"):
+        tighten(refused, boxes)
+    narrow = {**ways, "safe": [(0.5, "home", 3.0), (0.5, "ditch", 3.0)]}
+    model = SSP.from_transitions(
+        {"road": narrow, "bog": bog, "ditch": {}}, {"home"}, dead_ends={"ditch"}
+    )
+    some = np.array([0.8, 0.0, 0.3, 0.3, 0.8, 0.0, 0.0, 0.0])
+    boxes = Boxes(model, some, [1.0, 0.2, 0.7, 0.7, 1.0, 0.2, 1.0, 1.0])
+    with pytest.raises(
+        InfeasibleError, match="every policy of finite worst cost fails with probab"
+    ):
+        tighten(MCMP(model, "road", failure_budget=0.1), boxes)
+    free = {"try": [(0.5, "home", 0.0), (0.5, "bog", 0.0)]}
+    model = SSP.from_transitions(
+        {"road": ways, "bog": free, "ditch": {}}, {"home"}, dead_ends={"ditch"}
+    )
+    boxes = Boxes(model, low, [1.0, 0.2, 1.0, 1.0, 0.2, 1.0, 1.0])
+    with pytest.raises(ModelError, match="a run never ends"):
+        tighten(MCMP(model, "road", failure_budget=0.1), boxes)
 
 
 def replace_model(lottery, model):

@@ -33,6 +33,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.deadline import check_time, limited
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
+from ssp_lp.model import SSP
 from ssp_lp.model.boxes import FORCED, Boxes, forced, greatest_mean
 from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
 from ssp_lp.policies import DeterministicPolicy, Policy
@@ -70,6 +71,7 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
     start = problem.start_mass
     with limited(time_limit, "the worst probabilities were settled"):
         loss, decision, worst, rounds = settled(boxes, semantics)
+        check_ends(semantics, problem.model, start, loss)
         if (lost := (start > 0.0) & np.isinf(loss)).any():
             state = problem.model.states[int(np.argmax(lost))]
             raise InfeasibleError(
@@ -175,19 +177,25 @@ def completed(policy: Policy, decision: IntArray, ends: IntArray) -> IntArray:
 
 
 def settled(
-    boxes: Boxes, semantics: FailureSemantics
+    boxes: Boxes, semantics: FailureSemantics, *, safest: bool = False
 ) -> tuple[FloatArray, IntArray, FloatArray, int]:
     """Find the decisions that are optimal at nature's worst probabilities, by policy iteration.
 
     Decisions are changed only for a strict gain. So each policy surely ends like the one before,
     and cycles of cost 0 are never entered.
 
+    Args:
+        boxes: the boxes.
+        semantics: where giving up is allowed, and what an episode is worth.
+        safest: minimise the failure probability among the policies of finite worst cost.
+
     Returns:
         Least worst loss of each state (cost and penalty, or the failure probability), infinite if
-        failing is forbidden and cannot be avoided, [states]; the robust decisions, [states];
-        nature's probabilities, [outcomes]; and the number of rounds.
+        failing is forbidden and cannot be avoided, or if nature can keep every policy from ending,
+        [states]; the robust decisions, [states]; nature's probabilities, [outcomes]; and the number
+        of rounds.
     """
-    model, only_failing = boxes.support, semantics.aim is Aim.GREATEST_GOAL
+    model, only_failing = boxes.support, safest or semantics.aim is Aim.GREATEST_GOAL
     acting = ~(model.goal_mask | dead_ends(model))
     usable = np.ones(model.n_pairs, dtype=np.bool_)
     reward = np.zeros(model.n_outcomes) if only_failing else model.costs
@@ -197,25 +205,17 @@ def settled(
     if semantics.forbids_failing:
         rank, decision, usable = _losing(boxes, model.goal_mask)
         acting &= rank == 0
-    elif not only_failing:
-        decision, charges = ending(boxes, semantics)
-        ends *= semantics.penalty + charges
+    elif safest or not only_failing:
+        decision, charges, rank, usable = ending(boxes, semantics)
+        acting &= rank == 0
+        ends *= 1.0 if safest else semantics.penalty + charges
     for rounds in range(1, MOST_ROUNDS):
         check_time()
         loss = np.array(ends)
         loss[rank > 0] = top + rank.max() + 1.0 - rank[rank > 0]
-        if acting.any():
-            begin = acting / acting.sum()
-            boxed = boxed_chain(boxes, DeterministicPolicy(model, decision), begin)
-            state = boxed.chain.state
-            loss[state] = (
-                boxed.failing()
-                if only_failing
-                else boxed.greatest(reward[boxed.chain.outcome], ends[state], boxed.acting)
-            )
-        worth = reward + loss[model.successors]
-        worst = greatest_mean(boxes.low, boxes.high, worth, model.outcome_offsets)
-        mean = np.where(usable, segment_sums(worst * worth, model.outcome_offsets), np.inf)
+        loss = worst_loss(boxes, decision, acting, loss, None if only_failing else ends)
+        worst, mean = worst_means(boxes, reward + loss[model.successors])
+        mean = np.where(usable, mean, np.inf)
         least = segment_minima(mean, model.pair_offsets)
         known = loss[acting].max(initial=0.0)
         better = acting & (least < loss - IMPROVEMENT * known)
@@ -229,28 +229,81 @@ def settled(
     raise SolverError("the policy iteration over the boxes does not converge")
 
 
-def ending(boxes: Boxes, semantics: FailureSemantics) -> tuple[IntArray, FloatArray]:
+def worst_loss(
+    boxes: Boxes, decision: IntArray, acting: BoolArray, loss: FloatArray, ends: FloatArray | None
+) -> FloatArray:
+    """Return the worst loss of a plan that surely ends from each state, [states].
+
+    Args:
+        boxes: the boxes.
+        decision: decisions of the plan, [states].
+        acting: states from which it is followed, [states].
+        loss: losses of states that it does not reach, [states].
+        ends: loss at each end, added to the cost; None: the probability of failing, [states].
+    """
+    loss = np.array(loss, dtype=np.float64)
+    if acting.any():
+        plan = DeterministicPolicy(boxes.support, decision)
+        boxed = boxed_chain(boxes, plan, acting / acting.sum())
+        chain, state = boxed.chain, boxed.chain.state
+        loss[state] = boxed.failing() if ends is None else (
+            boxed.greatest(chain.cost, ends[state], boxed.acting))  # fmt: skip
+    return loss
+
+
+def worst_means(boxes: Boxes, worth: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the probabilities, [outcomes], that maximise the mean worth of pairs, [pairs]."""
+    offsets = boxes.model.outcome_offsets
+    worst = greatest_mean(boxes.low, boxes.high, worth, offsets)
+    return worst, segment_sums(worst * worth, offsets)
+
+
+def check_ends(
+    semantics: FailureSemantics, model: SSP, start: FloatArray, loss: FloatArray
+) -> None:
+    """Raise :class:`ModelError` if nature can keep every policy from ending from the start."""
+    lost = (start > 0.0) & np.isinf(loss)
+    if lost.any() and not semantics.forbids_failing:
+        raise _never_ends(model, lost)
+
+
+def _never_ends(model: SSP, states: BoolArray) -> ModelError:
+    """Return the error that nature can keep every policy from ending from one of some states."""
+    return ModelError(
+        f"state {model.states[int(np.argmax(states))]!r}: the boxes allow probabilities with which "
+        "a run never ends: use give_up='anywhere', or give the outcomes that lead to an end a low "
+        "above 0"
+    )
+
+
+def ending(
+    boxes: Boxes, semantics: FailureSemantics
+) -> tuple[IntArray, FloatArray, IntArray, BoolArray]:
     """Return a policy that surely ends and gives up wherever it may, and the charges of doing so.
 
+    From the other states nature can keep every policy from ever ending, at infinite cost.
+
     Returns:
-        Its decisions, [states]; worst charges of giving up, or of entering a dead-end, [states].
+        Its decisions, [states]; worst charges of giving up, or of entering a dead-end, [states]; 0,
+        or the round in which a state was found to be one of the others, [states]; and the pairs
+        that never lead to these, [pairs].
 
     Raises:
-        ModelError: nature can keep every policy from ever ending.
+        ModelError: nature can keep every policy from ever ending, but at a cost of 0.
     """
     model = boxes.support
     acting = ~(model.goal_mask | dead_ends(model))
     stopping, entering = worst_charges(semantics, boxes)
     may_stop = acting & np.isfinite(stopping)
-    rank, decision, _ = _losing(boxes, ~acting | may_stop)
-    if rank.any():
-        state = model.states[int(np.argmax(rank > 0))]
-        raise ModelError(
-            f"state {state!r}: the boxes allow probabilities with which a run never ends: use "
-            "give_up='anywhere', or raise low above 0 for outcomes that lead to an end"
-        )
+    rank, decision, usable = _losing(boxes, ~acting | may_stop)
+    lost = rank > 0
+    pair = segment_ids(model.outcome_offsets)
+    free = (model.costs == 0.0) & (boxes.high > 0.0) & lost[model.pair_state[pair]]
+    if free.any():
+        raise _never_ends(model, lost)
+    decision = np.where(lost, model.pair_offsets[:-1], decision)
     decision[may_stop] = GIVE_UP_CODE
-    return decision, np.where(may_stop, stopping, entering)
+    return decision, np.where(may_stop, stopping, entering), rank, usable
 
 
 def _losing(boxes: Boxes, ends: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
