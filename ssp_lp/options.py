@@ -121,7 +121,7 @@ def check_tail(tail: object) -> float:
 
 @dataclass(frozen=True)
 class DeterministicPolicies(_Option):
-    """The best deterministic policy, by mixed-integer programs.
+    """The best deterministic policy, by branch and bound.
 
     Stationary in the model's states; in case S in (state, accumulated cost).
 

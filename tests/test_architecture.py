@@ -32,7 +32,7 @@ ORDER = [
     ("solving", "formulation", "verification", "io", "plotting"),
     ("cargo", "answers", "distributed", "tightening"),
 ]
-WITH_SOLVERS = {"deterministic.py", "convex_program.py"}
+WITH_SOLVERS = {"convex_program.py"}
 
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
 

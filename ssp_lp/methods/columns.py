@@ -143,8 +143,8 @@ def best_within_budget(
     solution = assembled(problem, answer, run, sense)
     if not options.deterministic:
         return solution
-    reason += "; then one policy by mixed-integer programs"
-    single = best_deterministic(solution, optimum, options.tolerance, options.deadline)
+    reason += "; then one policy by branch and bound"
+    single = best_deterministic(solution, optimum, options.tolerance)
     return replace(single, run=replace(single.run, reason=reason, deterministic=True))
 
 

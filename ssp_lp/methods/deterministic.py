@@ -1,94 +1,88 @@
 """The best deterministic policy, for a controller without a lottery.
 
 The best lottery attains c*; the best deterministic policy within the budget may cost more. It is
-found by a mixed-integer program over the states of the process (case S: state and accumulated
-cost). x counts expected visits; a binary y per pair selects the pair of each state:
+found by branch and bound over the pairs of the process (case S: of state and accumulated cost).
 
-    x_pair <= V_state * y_pair,   sum over the pairs of a state of y = 1.
+A node is a set of policies: the pairs that some states must take, and pairs that no state takes.
+Its lower bound is the value of its best lottery, the Lagrangian bound
 
-**The bound V on visits** is the greatest expected number of visits of the state over all policies,
-also randomised ones, that satisfy the budget and cost no more than the best known policy. It takes
-a linear program for each state (one for all states together if there are many), and is 1 if no
-state can be visited twice. It excludes no better policy. It is finite because free end components
-are collapsed in the process, and at most 1 / (1 - discount) under a discount. V includes a margin
-for rounding, so that a solution that attains it needs no second try with a larger V.
+    max over prices of  min over its policies of  cost + price * (failure - budget).
 
-The ratio of case S is minimised by Dinkelbach's iteration. Every policy is read off y and evaluated
-exactly on the process; one that satisfies the budget only within HiGHS's tolerances is refused and
-excluded by a further row. The lower bound is the better of two bounds: the bound of the lottery,
-and HiGHS's dual bound, which is lowered by 1e-9 of itself because it is not a checked sub-solution.
-If the gap misses the tolerance for this reason, the best policies, whose values are exact, are
-excluded one by one, so that HiGHS's bound is needed only for the other policies.
+It is proved by the values of the priced process, which lack only the excluded pairs. The lottery
+mixes a policy that satisfies the budget, which may be a better incumbent, with one that violates
+it. Both are optimal at the price, so that they differ in few states: often one. The node is divided
+at the state to which the difference in failure is due most: policies that take the first policy's
+pair there, and the others. Neither part contains both policies, so that the bounds of both parts
+may rise. The node of least bound is divided first. A node without a policy that violates the budget
+at the least price is solved: its best policy is deterministic.
+
+The number of nodes may be exponential: the problem is NP-hard (Dolgov and Durfee 2005). The least
+bound of all open nodes is a bound at any time, so that a search that is stopped has a certified
+gap.
 
 A deterministic optimum is a step function of the budget: it has no price of failure unless the
 budget is slack.
 
-The bound holds for two kinds of policies that are not searched, so a gap may remain even without a
-time limit: policies whose exit from a collapsed component depends on the entry, and policies that
-differ from the tails beyond the cap of case S. HiGHS's bound does not hold for policies with more
-memory than the state of the process, which could randomise by observed chance.
-
-States with one pair, and states that may randomise, have no y.
+Two kinds of policies are covered by the bound but not searched, so that a gap may remain without a
+time limit: those whose exit from a collapsed component depends on the entry, and those that differ
+from the tails beyond the cap of case S. A node is not divided at these states. Policies with more
+memory than the state of the process, which could randomise by observing chance, are not covered.
 """
 
 from __future__ import annotations
 
-import time
+import heapq
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
-import highspy
 import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.process import LayeredProcess
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.column_generation.column import Column, relative_gap
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, weighted
+from ssp_lp.column_generation.column import Column, FailureRow, Proof, relative_gap, required
 from ssp_lp.column_generation.compiled_layers import CompiledLayered
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit, CompiledProblem
+from ssp_lp.column_generation.explicit_pricing import LOST
 from ssp_lp.compiled.deadline import WithIncumbent, is_late
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import Argument, ModelError, SolverError
-from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver, run_highs
-from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.model.graph import reached_along
 from ssp_lp.policies.policy import as_lottery
-from ssp_lp.processes.conditions import FAILURE_ROW
-from ssp_lp.processes.explicit_process import ExplicitProcess
+from ssp_lp.processes.explicit_process import ExplicitProcess, bound_of
 from ssp_lp.processes.failure_label import FailureLabelled
 from ssp_lp.processes.quotient import Quotient
-from ssp_lp.programs.occupation_program import rows_program
 from ssp_lp.solution import Answer, Solution
 
 if TYPE_CHECKING:
     from ssp_lp.methods.refinement import Optimum
 
 _OPEN = 1e-6  # relative gap above which the cost of determinism is reported as "at most"
-_DUAL = 1e-9  # relative tolerance of HiGHS's bound
-_RATIOS = 30  # most steps of Dinkelbach's iteration, which takes a handful
-_SPREADS = (1e-6, 0.03, 0.1, 0.3, 1.0, 3.0)  # relative distances from the price, up and down
-_SKIPS = 8  # most states skipped between two policies
-_REFUSED = 100  # most policies that satisfy the budget only within HiGHS's tolerances
-_EXCLUDED = 8  # most policies excluded as equal to the best within HiGHS's tolerances
 _ROUNDING = 1e-13
 _SMALL = 1e-10  # relative
 """Feasibility tolerance of the budget, since failure may be summed in another order."""
 
+_TOO_DEAR = 1e100  # cost of an excluded pair
+_MOST_PRICES = 60  # most prices of a node, which takes a handful
+_LEAST_PRICE = 1e-12  # lowest price, relative to the lottery's: above 0, so that no cycle is free
+_STEP = 4.0  # factor between prices until policies lie on both sides of the budget
+_MORE = 1e-6  # least relative step
+_LITTLE = 1e-3  # price, relative to the lottery's, below which the lowest follows
+_SETTLED = 1e-12  # relative improvement of a priced cost that is rounding
 
-def best_deterministic(
-    mixed: Solution, outcome: Optimum[Any], tolerance: float, deadline: float
-) -> Solution:
+
+def best_deterministic(mixed: Solution, outcome: Optimum[Any], tolerance: float) -> Solution:
     """Solve for the best deterministic policy, given the best lottery.
 
-    The search begins with the best member of the lottery within the budget, and with policies that
-    combine its members. The lower bound of the lottery is the first lower bound.
+    The first incumbent is the best member of the lottery within the budget, and the first lower
+    bound that of the lottery.
 
     Args:
         mixed: the best lottery; its value function is kept.
         outcome: outcome of the search that found it.
         tolerance: relative gap at which to stop.
-        deadline: by ``time.perf_counter``.
 
     Raises:
         ModelError: the process is too large.
@@ -99,7 +93,7 @@ def best_deterministic(
     column = min(inside, key=lambda c: row.objective(c.cost, c.goal))
     value, policy = row.objective(column.cost, column.goal), outcome.compiled.pricing().policy
     incumbent = Answer(policy(column), value, outcome.bound, column.failure)
-    search = _PolicySearch(outcome, most, incumbent, tolerance, deadline)
+    search = _PolicySearch(outcome, most, incumbent, tolerance)
     finished = len(generated.columns) == 1 and generated.finished
     if len(generated.columns) > 1 and not is_late():
         with WithIncumbent():
@@ -139,8 +133,6 @@ class _PolicySearch:
     most: float  # the budget plus a tolerance for rounding
     best: Answer  # the incumbent; its bound holds for every policy
     tolerance: float  # relative
-    deadline: float
-    refused: int = 0
 
     @cached_property
     def relaxation(self) -> _DeterministicRelaxation:
@@ -148,140 +140,190 @@ class _PolicySearch:
         return deterministic_relaxation(self.outcome.compiled, self.outcome.kappa)
 
     def run(self) -> bool:
-        """Search by walks and integer programs; return whether the search was finished."""
-        relaxation, bound = self.relaxation, self.outcome.bound
-        self._walk_between_members()
-        if relative_gap(self.best.value, bound) <= self.tolerance:
-            return True
+        """Search by branch and bound; return whether the search was finished."""
+        relaxation = self.relaxation
         free = relaxation.may_randomise
-        proved, finished = self._integer_bound(relaxation.process, np.zeros_like(free))
-        if free.any():
-            proved, finished = self._integer_bound(relaxation.relaxed, free)
-        self.best = replace(self.best, bound=min(max(proved, bound), self.best.value))
+        proved, finished = self._branch(relaxation.process, np.zeros_like(free))
+        if free.any() and finished:
+            proved, finished = self._branch(relaxation.relaxed, free)
+        elif free.any():
+            proved = -np.inf
+        bound = max(proved, self.outcome.bound)
+        self.best = replace(self.best, bound=min(bound, self.best.value))
         return finished
 
-    def offer(self, choice: IntArray) -> bool:
-        """Evaluate a choice, keep it if it is the best; return whether it is within the budget."""
-        relaxation, row, kept = self.relaxation, self.outcome.row, False
-        whole = relaxation.completed(choice)[0]
-        for column in () if whole is None else relaxation.measure(whole):
-            if column.failure > self.most:
-                continue
-            kept, value = True, row.objective(column.cost, column.goal)
-            if value < self.best.value:
-                policy = relaxation.compiled.pricing().policy(column)
-                self.best = Answer(policy, value, self.best.bound, column.failure)
-        return kept
+    def _branch(self, process: ExplicitProcess, free: BoolArray) -> tuple[float, bool]:
+        """Branch until the gap is closed; return a lower bound, and whether the search ended."""
+        tree = _Tree(process, self.outcome.row, free, self, self.outcome.kappa)
+        with WithIncumbent() as growth:
+            tree.grow(self.relaxation.fallback)
+        return tree.bound, not tree.nodes and not growth.stop
 
-    def _walk_between_members(self) -> None:
-        """Evaluate policies between two optimal ones, as close to the budget as possible.
+    def offer(self, column: Column) -> None:
+        """Keep a column's policy if it is better than the best one when evaluated on the model."""
+        relaxation, row = self.relaxation, self.outcome.row
+        if row.objective(column.cost, column.goal) >= self.best.value:
+            return
+        choice = relaxation.completed(required(column.choice))
+        for found in () if choice is None else relaxation.measure(choice):
+            value = row.objective(found.cost, found.goal)
+            if found.failure <= self.most and value < self.best.value:
+                policy = relaxation.compiled.pricing().policy(found)
+                self.best = Answer(policy, value, self.best.bound, found.failure)
 
-        Two policies that are optimal at prices just below and above the lottery's price are both
-        optimal at it. So is every policy that follows one in some states and the other elsewhere:
-        among these, the policy of largest failure within the budget is cheapest. Policies of prices
-        farther away differ in more states.
-        """
-        compiled, price = self.relaxation.compiled, self.outcome.kappa
-        for spread in _SPREADS:
-            if is_late():
-                return
-            safe, risky = (
-                compiled.explicit_choice(compiled.pricing().minimise(price * factor))
-                for factor in (1.0 + spread, 1.0 / (1.0 + spread))
-            )
-            differing = np.flatnonzero(safe != risky)
-            for order in (differing, differing[::-1]):
-                if self.offer(safe):
-                    self._walk(safe, risky, order)
+    def is_closed(self, bound: float) -> bool:
+        """Return whether policies of this lower bound cannot improve on the best one."""
+        return relative_gap(self.best.value, bound) <= self.tolerance
 
-    def _walk(self, safe: IntArray, risky: IntArray, order: IntArray) -> None:
-        """Switch states from one policy to another within the budget, in order, by bisection.
+
+@dataclass(frozen=True, eq=False)
+class _Node:
+    """A set of policies, with its best lottery: ``inside`` satisfies the budget, the other not."""
+
+    bound: float  # certified lower bound of the objective
+    price: float  # of failure, at which the two policies are equally good
+    inside: IntArray  # [states]
+    outside: IntArray  # [states]
+    taken: tuple[int, ...] = ()  # pairs that their states must take
+    excluded: tuple[int, ...] = ()  # pairs that no state may take
+
+
+@dataclass(eq=False)
+class _Tree:
+    """Branch and bound over the pairs of a process. Mutable: ``nodes`` and ``closed`` change."""
+
+    process: ExplicitProcess
+    row: FailureRow
+    free: BoolArray  # [states] that may randomise
+    search: _PolicySearch  # has the incumbent
+    price: float  # of failure, of the best lottery
+    nodes: list[tuple[float, int, _Node]] = field(default_factory=list)  # a heap, by their bounds
+    closed: float = np.inf  # least bound of the sets that are not divided further
+    made: int = 0  # number of nodes
+
+    @property
+    def bound(self) -> float:
+        """Lower bound of all policies."""
+        least = min(self.closed, self.nodes[0][0] if self.nodes else np.inf)
+        return least if np.isfinite(least) else -np.inf
+
+    def grow(self, choice: IntArray) -> None:
+        """Divide the set of least bound until the gap is closed or time is up.
 
         Args:
-            safe: a choice within the budget, [states].
-            risky: another choice, [states].
-            order: the states in which they differ.
+            choice: a policy that leaves, [states].
         """
-        here = safe
-        for _ in range(_SKIPS):
-            kept, broken = 0, order.size + 1  # states changed, and too many
-            while broken - kept > 1 and not is_late():
-                middle = (kept + broken) // 2
-                within = self.offer(_with_states(here, risky, order[:middle]))
-                kept, broken = (middle, broken) if within else (kept, middle)
-            here, order = _with_states(here, risky, order[:kept]), order[kept + 1 :]
-            if order.size == 0:
-                return
+        self._add(_Node(-np.inf, self.price, choice, choice), choice)
+        while self.nodes and not is_late():
+            node = self.nodes[0][-1]
+            pair = -1 if self.search.is_closed(node.bound) else self._differing(node)
+            if pair < 0:
+                self.closed = min(self.closed, node.bound)
+            else:
+                self._add(replace(node, taken=(*node.taken, pair)), node.inside)
+                self._add(replace(node, excluded=(*node.excluded, pair)), node.outside)
+            heapq.heappop(self.nodes)  # still the first: its parts have no lower bound
 
-    def _integer_bound(self, process: ExplicitProcess, free: BoolArray) -> tuple[float, bool]:
-        """Return a lower bound of deterministic policies by integer programs; whether they ended.
+    def _differing(self, node: _Node) -> int:
+        """Return the inside policy's pair to which the difference in failure is due most.
 
-        Case S uses Dinkelbach's iteration. If ``cost - c * goal >= D`` for every policy within the
-        budget, then ``cost / goal >= c + D / (1 - budget)`` for D < 0.
+        By the performance difference lemma, the difference is the sum over the states of the inside
+        policy's visits times its pair's advantage over the outside policy. -1: no pair differs.
+        """
+        process, inside, outside = self.process, node.inside, node.outside
+        states = np.flatnonzero((inside != outside) & ~self.free)
+        if states.size > 1:
+            failure = process.dynamics.chain(outside).solve(process.failure[outside])
+            visits = process.dynamics.chain(inside).solve_transposed(process.start)[states]
+            pairs = inside[states]
+            ahead = process.failure[pairs] + process.transitions[pairs] @ failure - failure[states]
+            states = states[[int(np.argmax(visits * np.abs(ahead)))]]
+        return int(inside[states[0]]) if states.size else -1
+
+    def _add(self, node: _Node, choice: IntArray) -> None:
+        """Bound a set of policies by its best lottery; keep it unless the bound closes it.
 
         Args:
-            process: the process.
-            free: states that may randomise, so that solutions are not deterministic, [states].
+            node: the pairs that its policies take; its price is the first one.
+            choice: a policy of the set that leaves, [states].
         """
-        row, incumbent = self.outcome.row, self.best.value
-        share, ratio, most = 1.0 - row.budget, 0.0, incumbent
+        inside: Column | None = None
+        outside: Column | None = None
+        best, last, price, rewards = -np.inf, None, node.price, self._rewards(node)
+        for _ in range(_MOST_PRICES):
+            try:
+                column = self._priced(rewards, price, choice)
+            except SolverError:  # of rounding, near a free cycle
+                break
+            line, choice = column.cost + price * column.failure, required(column.choice)
+            bound = self._objective_bound(price, line)
+            if last is None or bound > best:
+                best, last = bound, column
+            known = [end.cost + price * end.failure for end in (inside, outside) if end]
+            if self.row.breaks(column):
+                outside = column
+            else:
+                inside = column
+                self.search.offer(column)
+            following = self._next_price(price, inside, outside)
+            is_settled = len(known) == 2 and line >= min(known) * (1.0 - _SETTLED)
+            if is_settled or following == price or self.search.is_closed(bound):
+                break
+            price = following
+        bound = node.bound if last is None else max(self._proved(rewards, last), node.bound)
+        if inside and outside and not self.search.is_closed(bound):
+            ends = required(inside.choice), required(outside.choice)
+            part = replace(node, bound=bound, price=price, inside=ends[0], outside=ends[1])
+            self.made += 1
+            heapq.heappush(self.nodes, (bound, self.made, part))
+        else:
+            self.closed = min(self.closed, bound)
+
+    def _rewards(self, node: _Node) -> FloatArray:
+        """Return cost, failure and goal of each pair, [pairs, 3]; excluded pairs are too dear."""
+        process, taken = self.process, np.array(node.taken, dtype=np.int64)
+        excluded = np.zeros(process.n_states, dtype=np.bool_)
+        excluded[process.pair_state[taken]] = True
+        excluded = excluded[process.pair_state]
+        excluded[taken] = False
+        excluded[np.array(node.excluded, dtype=np.int64)] = True
+        cost = np.where(excluded, _TOO_DEAR, process.cost)
+        return np.stack([cost, process.failure, process.goal], axis=1)
+
+    def _priced(self, rewards: FloatArray, price: float, choice: IntArray) -> Column:
+        """Return the column of least priced cost."""
+        weights = np.array([1.0, price, 0.0])
+        settled = iterate_policy(self.process.dynamics, rewards, weights, choice, precise=False)
+        cost, failure, goal = (self.process.start @ settled.totals).tolist()
+        return Column(cost, failure, goal, settled.choice, price, totals=settled.totals)
+
+    def _proved(self, rewards: FloatArray, column: Column) -> float:
+        """Return the certified lower bound of the objective at the price of a column."""
+        weights = np.array([1.0, column.tail_price, 0.0])
+        priced, values = weighted(rewards, weights), weighted(required(column.totals), weights)
+        priced -= LOST * priced  # a bound rounds down
+        bound = bound_of(self.process, None, priced, values, choice=column.choice)
+        return self._objective_bound(column.tail_price, bound.at(self.process.start))
+
+    def _objective_bound(self, price: float, priced: float) -> float:
+        """Return the lower bound of the objective that the least priced cost implies."""
+        return self.row.lower_bound(Proof(price, price, priced, np.zeros(0)))
+
+    def _next_price(self, price: float, inside: Column | None, outside: Column | None) -> float:
+        """Return the price at which the bound may be greatest; the same one: there is no other."""
+        row, least = self.row, _LEAST_PRICE * self.price
+        if inside is None:
+            if outside is None:
+                return price
+            wanted = self.search.best.value * (row.demanded if row.ratio else 1.0)
+            enough = (outside.cost - wanted) / row.spare(outside)
+            return max(min(enough, _STEP * price), price * (1.0 + _MORE))
         if row.ratio:
-            ratio, most = incumbent, 0.0
-        visits = most_visits(process, row.budget, most, ratio, self.deadline)
-        if visits is None:
-            return 0.0, False
-        gap = 0.0 if row.ratio else self.tolerance
-        program = _IntegerProgram(process, self.most, visits, free, max(gap, _LEAST_GAP))
-        if program.pairs.size == 0:
-            return 0.0, True  # no decisions: the lottery's bound remains
-        bound, excluded = 0.0, 0
-        for _ in range(_RATIOS):
-            answer = self._solved_without_refused(program, process.cost - ratio * process.goal)
-            least = answer.bound
-            if np.isfinite(least):
-                least -= _DUAL * (1.0 + abs(least))
-                if row.ratio:
-                    beyond = least / share if share > 0.0 else -np.inf
-                    least = ratio if least >= 0.0 else max(ratio + beyond, 0.0)
-            bound = max(bound, min(least, self.best.value))  # excluded policies have no lower value
-            if not answer.finished:
-                return bound, False
-            better = ratio
-            if row.ratio and answer.x is not None:
-                goal = float(process.goal @ answer.x)
-                better = float(process.cost @ answer.x) / goal if goal > 0.0 else np.inf
-            if better < ratio * (1.0 - _DUAL):
-                ratio = better
-                continue
-            is_met = relative_gap(self.best.value, bound) <= self.tolerance
-            if is_met or answer.choice is None or free.any() or excluded == _EXCLUDED:
-                return bound, True
-            excluded += 1
-            self._exclude(program, answer.choice)
-        return bound, False
-
-    def _solved_without_refused(self, program: _IntegerProgram, cost: FloatArray) -> _IntegerAnswer:
-        """Solve the integer program, excluding policies that violate the budget when evaluated."""
-        while True:
-            answer = program.solve(cost, self.deadline)
-            choice = answer.choice
-            if choice is None or self.offer(choice) or program.free.any():
-                return answer
-            if self.refused == _REFUSED:
-                return replace(answer, finished=False)
-            self.refused += 1
-            self._exclude(program, choice)
-
-    def _exclude(self, program: _IntegerProgram, choice: IntArray) -> None:
-        """Exclude the policy of a choice from an integer program."""
-        program.forbid(choice[self.relaxation.completed(choice)[1]])
-
-
-def _with_states(choice: IntArray, other: IntArray, states: IntArray) -> IntArray:
-    """Return a choice with the pairs of another one in some states, [states]."""
-    mixed = choice.copy()
-    mixed[states] = other[states]
-    return mixed
+            least = max(least, row.objective(inside.cost, inside.goal))
+        if outside is None:
+            return max(least, price / _STEP if price > _LITTLE * self.price else 0.0)
+        slope = (inside.cost - outside.cost) / (row.spare(inside) - row.spare(outside))
+        return max(least, slope)
 
 
 _MOST_PAIRS = 500_000
@@ -305,7 +347,7 @@ class _DeterministicRelaxation:
     fallback: IntArray  # [states] pairs of a policy that leaves from every state
     measure: Callable[[IntArray], list[Column]]  # evaluates the policies of a choice exactly
 
-    def completed(self, choice: IntArray) -> tuple[IntArray | None, BoolArray]:
+    def completed(self, choice: IntArray) -> IntArray | None:
         """Return the choice, with ``fallback`` in unreached states; None if it may never leave."""
         process = self.process
         chain = sp.csr_array(process.transitions[choice])
@@ -315,8 +357,8 @@ class _DeterministicRelaxation:
         leaks = process.goal[choice] + process.failure[choice] > 0
         leaves = reached_along(back.indices, back.indptr, np.flatnonzero(leaks))
         if (reached & ~leaves).any():
-            return None, reached
-        return np.where(reached, choice, self.fallback), reached
+            return None
+        return np.where(reached, choice, self.fallback)
 
 
 def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _DeterministicRelaxation:
@@ -333,7 +375,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
     if exact.n_columns > _MOST_PAIRS:
         raise ModelError(
             Argument("method", "deterministic"),
-            f": a mixed-integer program of {exact.n_columns:,} pairs is too large (at most "
+            f": a process of {exact.n_columns:,} pairs is too large (at most "
             f"{_MOST_PAIRS:,}): set a lower ",
             Argument("cost_cap"),
             ", or use a coarser grid of costs",
@@ -405,181 +447,3 @@ def _reached_states(process: ExplicitProcess) -> BoolArray:
     """Return a mask of the states that are reachable from the start, [states]."""
     rows, start = process.transitions, np.flatnonzero(process.start > 0)
     return reached_along(rows.indices, rows.indptr[process.pair_offsets], start)
-
-
-_LEAST_GAP = 1e-10
-
-_OPTIONS: HighsOptions = {
-    "mip_abs_gap": _LEAST_GAP,
-    "mip_feasibility_tolerance": 1e-9,
-    "primal_feasibility_tolerance": 1e-9,
-    "dual_feasibility_tolerance": 1e-9,
-}
-
-_OVER = {highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnboundedOrInfeasible}
-
-
-def _has_time(solver: highspy.Highs, cost: FloatArray, deadline: float) -> bool:
-    """Set the costs and the time left in HiGHS; return whether time is left."""
-    left = deadline - time.perf_counter()
-    if left <= 0.0:
-        return False
-    solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
-    solver.changeColsCost(cost.size, np.arange(cost.size, dtype=np.int32), cost)
-    return True
-
-
-@dataclass(frozen=True, eq=False)
-class _IntegerAnswer:
-    """The answer of HiGHS; only its bound is trusted."""
-
-    x: FloatArray | None  # [pairs] None: no policy was found
-    choice: IntArray | None  # [states]
-    bound: float  # lower bound of <cost, x>; infinite if there is no policy
-    finished: bool
-
-
-class _IntegerProgram:
-    """The mixed-integer program of a process; policies can be excluded one by one."""
-
-    def __init__(
-        self,
-        process: ExplicitProcess,
-        budget: float,
-        visits: FloatArray,
-        free: BoolArray,
-        gap: float,
-    ) -> None:
-        """Build the program.
-
-        Args:
-            process: the process.
-            budget: failure budget.
-            visits: upper bounds of the expected visits, [states]; 0: unreachable.
-            free: states that may randomise, [states].
-            gap: relative gap at which to stop.
-        """
-        self.process, self.free = process, free
-        decided = (np.diff(process.pair_offsets) > 1) & (visits > 0.0) & ~free
-        self.pairs = np.flatnonzero(decided[process.pair_state])
-        base = rows_program(process, {FAILURE_ROW: (process.failure, budget)}, ratio=False)
-        state, n_y = process.pair_state[self.pairs], self.pairs.size
-        picks, group = np.unique(state, return_inverse=True)
-        each, one = np.arange(n_y), np.ones(n_y)
-        taken = sp.csr_array((one, (each, self.pairs)), shape=(n_y, process.n_pairs))
-        linked = sp.csr_array((-visits[state], (each, each)), shape=(n_y, n_y))
-        single = sp.csr_array((one, (group, each)), shape=(picks.size, n_y))
-        left = sp.vstack([base.matrix, taken, sp.csr_array((picks.size, process.n_pairs))])
-        right = sp.vstack([sp.csr_array((base.matrix.shape[0], n_y)), linked, single])
-        stated = LinearProgram(  # the rows of y below those of the occupation measure
-            cost=np.append(process.cost, np.zeros(n_y)),
-            matrix=sp.csc_array(sp.hstack([left, right])),
-            lower=np.concatenate([base.lower, np.full(n_y, -np.inf), np.ones(picks.size)]),
-            upper=np.concatenate([base.upper, np.zeros(n_y), np.ones(picks.size)]),
-            rows=base.rows,
-        )
-        lp = highs_lp(stated)
-        upper = np.where(visits > 0.0, highspy.kHighsInf, 0.0)[process.pair_state]
-        lp.col_upper_ = np.append(upper, np.ones(self.pairs.size))
-        lp.integrality_ = [highspy.HighsVarType.kContinuous] * process.n_pairs + [
-            highspy.HighsVarType.kInteger
-        ] * self.pairs.size
-        self._solver = highs_solver(lp, {**_OPTIONS, "mip_rel_gap": gap})
-
-    def forbid(self, pairs: IntArray) -> None:
-        """Exclude all policies that take these pairs, one for each state reached."""
-        position = np.flatnonzero(np.isin(self.pairs, pairs))
-        columns = (self.process.n_pairs + position).astype(np.int32)
-        most = float(position.size) - 1.0
-        self._solver.addRow(-highspy.kHighsInf, most, position.size, columns, np.ones(columns.size))
-
-    def solve(self, cost: FloatArray, deadline: float) -> _IntegerAnswer:
-        """Minimise a cost of the pairs, [pairs], until a deadline by ``time.perf_counter``."""
-        solver, n = self._solver, self.process.n_pairs
-        if not _has_time(solver, cost, deadline):
-            return _IntegerAnswer(None, None, -np.inf, finished=False)
-        run_highs(solver)
-        status, info = solver.getModelStatus(), solver.getInfo()
-        if status in _OVER:
-            return _IntegerAnswer(None, None, np.inf, finished=True)
-        finished = status == highspy.HighsModelStatus.kOptimal
-        bound = float(info.mip_dual_bound)
-        if info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
-            return _IntegerAnswer(None, None, bound, finished=False)
-        values = np.asarray(solver.getSolution().col_value, dtype=np.float64)
-        weight = values[:n].copy()
-        weight[self.pairs] = values[n:]
-        # the pair of greatest y, or of greatest x without y
-        order = np.lexsort((weight, self.process.pair_state))
-        choice = order[self.process.pair_offsets[1:] - 1]
-        return _IntegerAnswer(values[:n], choice, bound, finished)
-
-
-_MARGIN = 1e-6
-"""Relative margin above the optimum of a linear program, 1000 times HiGHS's tolerances."""
-
-_ROOM = 1e-9  # relative margin of the rows for budget and value
-_EACH = 400  # most states with a program each
-
-
-def most_visits(
-    process: ExplicitProcess, budget: float, most: float, ratio: float, deadline: float
-) -> FloatArray | None:
-    """Return an upper bound of the expected visits of each state over all policies, [states].
-
-    Unreachable states get 0. If no state can be visited twice, all others get 1. Otherwise one
-    linear program finds the greatest expected number of visits of all states together and, if
-    there are few states, a further program for each state finds its own greatest number. These are
-    finite: free end components are collapsed in the process, so that a limited cost limits the
-    visits.
-
-    Args:
-        process: the process; policies may be randomised.
-        budget: of failure.
-        most: largest ``<cost - ratio * goal, x>``: the value of a known policy.
-        ratio: reward of success; 0 in case M.
-        deadline: by ``time.perf_counter``.
-
-    Returns:
-        The bounds; None if the time ran out.
-
-    Raises:
-        SolverError: a program has no optimum.
-    """
-    rows, reached = process.transitions, _reached_states(process)
-    waits = rows.indices == np.repeat(process.pair_state, np.diff(rows.indptr))
-    once = float(process.start.sum()) * (1.0 + _MARGIN)
-    if process.dynamics.components.largest <= 1 and not waits.any():
-        return np.where(reached, once, 0.0)
-    room = most + _ROOM * (1.0 + abs(most))
-    limits = {
-        FAILURE_ROW: (process.failure, budget + _ROOM),
-        "value": (process.cost - ratio * process.goal, room),
-    }
-    lp = highs_lp(rows_program(process, limits, ratio=False))
-    lp.sense_ = highspy.ObjSense.kMaximize
-    solver = highs_solver(lp, {})
-
-    def greatest(counted: FloatArray) -> float | None:
-        """Return the greatest expected number of counted steps, with a margin; None: no time."""
-        if not _has_time(solver, counted, deadline):
-            return None
-        run_highs(solver)
-        status = solver.getModelStatus()
-        if status == highspy.HighsModelStatus.kTimeLimit:
-            return None
-        if status != highspy.HighsModelStatus.kOptimal:
-            raise SolverError(f"the visits have no bound: {solver.modelStatusToString(status)}")
-        return float(solver.getInfo().objective_function_value) * (1.0 + _MARGIN) + _MARGIN
-
-    total = greatest(np.ones(process.n_pairs))
-    if total is None:
-        return None
-    visits = np.where(reached, total, 0.0)
-    decided = np.flatnonzero(reached & (np.diff(process.pair_offsets) > 1))
-    for state in decided if decided.size <= _EACH else ():
-        own = greatest((process.pair_state == state).astype(np.float64))
-        if own is None:
-            return visits
-        visits[state] = min(own, total)
-    return visits
