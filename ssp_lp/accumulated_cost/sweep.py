@@ -70,6 +70,9 @@ _MOST_ENTRIES = 30_000
 _FEW_CELLS = 1_000_000
 """Most entries of all layers without free steps for one pass by numpy."""
 
+_LEAST_BLOCK = 16  # layers of a block for a pass by blocks
+_BLOCKS_FASTER = 8  # entries of a pass by blocks in the time of one
+
 _MOST_WITHIN = 20.0
 """Most expected steps within a layer, of any policy, for turns instead of equations."""
 
@@ -226,7 +229,8 @@ class Sweep:
             beyond: measures beyond the cap, [layers beyond, nodes, 1 + counted].
         """
         start = self.process.base.start
-        if (one_pass := self.one_pass) is not None:
+        one_pass = None if self.by_blocks and self.can_follow else self.one_pass
+        if one_pass is not None:
             given = Priced(_NONE, _NONE, _NONE), beyond[:, :, 0], beyond, choice
             blocks = self._blocks(one_pass, *given, keeps=True)
             return expected(start, deque(blocks, maxlen=1)[0][2][0])
@@ -283,10 +287,14 @@ class Sweep:
             layers = self._backward(lower, priced.beyond)
             blocks = ((slice(layer, layer + 1), lowest[None]) for layer, (lowest,) in layers)
         else:
-            swept = self._blocks(one_pass, priced, priced.beyond, limits=given)
+            swept = self._blocks(one_pass, priced, priced.beyond, choice=choice, limits=given)
             blocks = ((some, lowest) for some, lowest, _ in swept)
         is_kept = given.size <= KEPT_VALUES
-        kept = np.empty(given.shape) if is_kept else np.broadcast_to(np.inf, given.shape)
+        kept = (
+            np.empty(given.shape, order="F" if self.by_blocks else "C")
+            if is_kept
+            else np.broadcast_to(np.inf, given.shape)
+        )
         begun, sizes = np.zeros((2, process.cap))
         entries = np.flatnonzero(base.start)
         shares = base.start[entries]
@@ -313,11 +321,24 @@ class Sweep:
             choice: [cap, nodes].
             beyond: measures beyond the cap, [layers beyond, nodes, 1 + counted].
         """
-        process, mass, sums = self.process, self._begun_mass, list[list[float]]()
-        for layer in range(process.cap):
-            sums.append(mass.follow(choice[layer], self.charged(layer)).tolist())
-        for left, each in zip(mass.left, beyond, strict=False):
-            sums.append((left @ each).tolist())
+        process, sums = self.process, list[list[float]]()
+        if self.by_blocks and (one_pass := self.one_pass) is not None:
+            from ssp_lp.compiled.layers import follow_layers
+
+            layers, cap, span = one_pass[0], process.cap, process.totals.span
+            ring = np.zeros((span + 1, process.base.n_nodes))
+            swept = np.zeros((1 + self.counted.shape[1], 2))
+            ring[0] = process.base.start
+            for some in pieces(cap, cap * process.base.n_nodes):
+                follow_layers(layers, some.start, choice[some], ring, swept)
+            sums, left = [swept.sum(axis=1).tolist()], ring[np.arange(cap, cap + span) % len(ring)]
+        else:
+            mass = self._begun_mass
+            for layer in range(process.cap):
+                sums.append(mass.follow(choice[layer], self.charged(layer)).tolist())
+            left = mass.left
+        for beyond_cap, each in zip(left, beyond, strict=False):
+            sums.append((beyond_cap @ each).tolist())
         return np.array([fsum(each) for each in zip(*sums, strict=True)])
 
     @property
@@ -361,14 +382,18 @@ class Sweep:
         """
         run: Callable[..., None] = _sweep_plainly
         whole, within, is_compiled = compiled
-        if is_compiled:
+        cap, span, block = self.process.cap, self.process.totals.span, self.block
+        by_blocks = is_compiled and block >= _LEAST_BLOCK
+        if by_blocks:
+            from ssp_lp.compiled.layers import sweep_blocks
+        elif is_compiled:
             from ssp_lp.compiled.layers import sweep_layers as run
-        cap, span = self.process.cap, self.process.totals.span
         counts = 1 + self.counted.shape[1]
         ahead = [values, np.zeros((len(values), 0, counts)) if measures is None else measures]
         position = np.zeros((0, 0), dtype=np.int8) if choice is None else choice
         rooms = list[FloatArray]()
-        for turn in pieces(cap, int(cap * len(whole.classes) * within.max(initial=1.0))):
+        entries = cap * len(whole.classes) // (_BLOCKS_FASTER if by_blocks else 1)
+        for turn in pieces(cap, int(entries * within.max(initial=1.0))):
             some = slice(cap - turn.stop, cap - turn.start)
             many = some.stop - some.start
             layers = whole._replace(
@@ -378,14 +403,20 @@ class Sweep:
             )
             if not rooms:  # all blocks share this memory; their sizes differ by one layer
                 size = many + 1 + max(span, len(values))
-                make = np.empty if whole.turns == 1 else np.zeros
-                rooms = [make((size, *a.shape[1:])) for a in ahead]
+                make, order = np.empty if whole.turns == 1 else np.zeros, "F" if by_blocks else "C"
+                rooms = [make((size, *a.shape[1:]), order=order) for a in ahead]
             parts = [room[: many + len(a)] for room, a in zip(rooms, ahead, strict=True)]
             for part, later in zip(parts, ahead, strict=True):
                 part[many:] = later
-            given = _NO_LIMITS if limits is None else _at_least(limits[some], priced.floor)
-            own = parts[0].ravel(), parts[1].reshape(-1, counts), position[some], keeps
-            run(layers, priced.charged, priced.owed, priced.saved, *own, within, given)
+            given, task = _NO_LIMITS, (priced.charged, priced.owed, priced.saved)
+            if limits is not None and not (by_blocks and bool(np.isposinf(limits[some]).all())):
+                given = _at_least(limits[some], priced.floor)
+            if by_blocks:
+                own = rooms[0].T, rooms[1].T, position[some], keeps, limits is not None
+                sweep_blocks(layers, block, *task, *own, given)
+            else:
+                own = parts[0].ravel(), parts[1].reshape(-1, counts), position[some], keeps
+                run(layers, *task, *own, within, given)
             yield some, parts[0][:many], parts[1][:many]
             ahead = [part[:span] for part in parts]
 
@@ -472,17 +503,38 @@ class Sweep:
     @property
     def can_follow(self) -> bool:
         """Whether a forward sweep is possible: no free steps, and compiled loops."""
+        if self.by_blocks:
+            return accelerated(self.process.cap * self.process.base.n_nodes, "layers.follow_layers")
         return self.is_acyclic and accelerated(self.process.base.later.nnz, "layers.follow_layer")
+
+    @cached_property
+    def block(self) -> int:
+        """Layers from which no step leads to another one of them; 1: not known."""
+        return self._least_lead if self.process.totals.ahead is None else 1
+
+    @cached_property
+    def _least_lead(self) -> int:
+        """Least number of layers that a step passes."""
+        classes = self.process.base.steps_by_class[1]
+        return int(classes.min()) if classes.size else 1
+
+    @property
+    def by_blocks(self) -> bool:
+        """Whether a backward sweep runs over blocks of layers, in a compiled pass."""
+        one_pass = self.one_pass if self.block >= _LEAST_BLOCK else None
+        return one_pass is not None and one_pass[2]
 
     @property
     def one_pass(self) -> _OnePass | None:
         """Input of a backward sweep in one pass; None: the sweep goes layer by layer."""
         process, base = self.process, self.process.base
         cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
-        is_long = self.is_acyclic and base.later.nnz > _MOST_ENTRIES
+        by_blocks = self.block >= _LEAST_BLOCK
+        is_long = self.is_acyclic and base.later.nnz > _MOST_ENTRIES and not by_blocks
         if cells > _MOST_CELLS or is_long or base.n_nodes == 0:
             return None
-        loops = ("layers.sweep_layers", *(COMPONENTS if base.instant.nnz else ()))
+        loop = "layers.sweep_blocks" if by_blocks else "layers.sweep_layers"
+        loops = (loop, *(COMPONENTS if base.instant.nnz else ()))
         is_compiled = accelerated(base.later.nnz * process.cap, *loops)
         is_plain = self.is_acyclic and (base.later.nnz + len(base.gain)) * process.cap <= _FEW_CELLS
         whole = self._whole_pass if is_compiled or is_plain else None

@@ -185,9 +185,11 @@ def multiples_of_unit(model: SSP, counted: BoolArray) -> StepClasses:
 MOST_SUMS = 20_000
 """Most sums that are exact layers, if they fit into memory."""
 
-_PRODUCTS = 50  # sums formed at once, as a multiple of those that may be kept
+_PRODUCTS = 4  # sums formed at once, as a multiple of those that may be kept
 _MOST_PLACES = 300_000  # most pairs of state and sum that walks reach
-_MOST_MARKS = 30_000_000  # most sums times states, or times steps, reached or not
+_MOST_FOLLOWED = 3_000_000  # most steps of these walks
+_MOST_MARKS = 30_000_000  # most sums times states, reached or not
+_MOST_LEADS = 6_000_000  # most sums times kinds of steps, taken or not
 _UNKNOWN, _BEYOND = -2, -1  # codes instead of the number of a total
 _MOST_ROUNDS = 1_000
 
@@ -270,8 +272,12 @@ def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> Floa
     state, number = np.arange(n), np.zeros(n, dtype=np.int64)
     sums, seen = np.zeros(1), np.ones(n, dtype=np.bool_)  # by total, then by state
     leads = np.full(kinds, _UNKNOWN)  # successor of each total by each kind of step
+    followed = 0
     for _ in range(_MOST_ROUNDS):
         count = offsets[state + 1] - offsets[state]
+        followed += int(count.sum())
+        if followed > _MOST_FOLLOWED:
+            return None
         edge = concatenated_ranges(offsets[state], count)
         taken = np.repeat(number, count) * kinds + kind[edge]
         is_taken = np.zeros(len(leads), dtype=np.bool_)
@@ -291,7 +297,7 @@ def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> Floa
         first[name[fresh]] = np.arange(len(sums), len(sums) + len(fresh))
         leads[new] = first[name[len(sums) :]]
         sums = np.append(sums, every[fresh])
-        if len(sums) > most or len(sums) * max(n, kinds) > _MOST_MARKS:
+        if len(sums) > min(most, _MOST_MARKS // max(n, 1), _MOST_LEADS // kinds):
             return None
         leads = np.append(leads, np.full(len(fresh) * kinds, _UNKNOWN))
         before = np.append(seen, np.zeros(len(fresh) * n, dtype=np.bool_))

@@ -186,6 +186,8 @@ class LayeredPricing(PricingProblem):
         """Return a column of least ``E[charge; goal] + price * failure``."""
         failure_price = float(pricing_weights(price)[1])
         base, tails, choice = self.process.base, self.process.tails, self.sweep.room_for_choice()
+        if self._proves_as_it_goes(failure_price):
+            return self._minimise_and_prove(failure_price, choice)
         goal = tails.guess[1] if tails.guess else float(base.start @ tails.first.goal)
         # if success is improbable, use the form cost - price * goal
         failing = failure_price if goal + base.start_goal >= 0.5 else 0.0
@@ -202,6 +204,44 @@ class LayeredPricing(PricingProblem):
         begun[:, 0] -= prices * ended
         begun[:, 1] -= self._paid * begun[:, 3]
         return replace(column, by_layer=begun)
+
+    def _proves_as_it_goes(self, price: float) -> bool:
+        """Return whether one sweep gives both a nearly optimal choice and its dual bounds.
+
+        Wherever the goal can be avoided, failing is optimal beyond the cap, so that the bound there
+        is exact.
+        """
+        base, totals = self.process.base, self.process.totals.values
+        ends = base.start_goal or base.start_failure
+        is_short = price > float(totals[self.process.cap]) / base.survival
+        return not (ends or is_short) and self.is_shifted and self.sweep.by_blocks
+
+    def _minimise_and_prove(self, price: float, choice: IntArray) -> Column:
+        """Return a column of least priced cost that carries the dual bounds of its sweep.
+
+        Args:
+            price: of failure.
+            choice: written, [cap, nodes].
+        """
+        priced = at_price(self.sweep, price, 0.0, bounds=True)
+        bounds, values = self.sweep.bound(priced, self.anything, choice)
+        by_layer = np.full((self.process.cap, 4), np.nan)
+        by_layer[:, 0] = bounds
+        column = replace(self.measure(choice, price), by_layer=by_layer, totals=values)
+        return replace(column, work=bellman.Work(2 * self.process.cap, self.process.cap))
+
+    def _proved_by(self, column: Column | None, price: float, *, slack: bool) -> Proof | None:
+        """Return the dual bound at a price that the sweep of a column has found, or None."""
+        swept = column if column is None else column.swept or column
+        if swept is None or swept.totals is None or swept.by_layer is None:
+            return None
+        layer = int(np.abs(swept.tail_price - self._paid - price).argmin())
+        at = swept.tail_price - float(self._paid[layer])
+        if abs(at - price) > ROUNDED * price:
+            return None
+        values = np.full(self.value_shape, np.inf)
+        values[: self.process.cap - layer] = swept.totals[layer:] + (0.0 if slack else at)
+        return Proof(at, 0.0, float(swept.by_layer[layer, 0]), values)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
         """Return the column of a choice, with its exact E[cost; goal] and failure.
@@ -229,7 +269,8 @@ class LayeredPricing(PricingProblem):
     ) -> Proof:
         """Prove the best dual bound of one sweep."""
         price = float(pricing_weights(price)[1])
-        return self._proof(price, 0.0 if slack else price, self.anything)
+        proved = self._proved_by(best, price, slack=slack)
+        return proved or self._proof(price, 0.0 if slack else price, self.anything)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower values, [cap, nodes], to a checked sub-solution of the pricing problem.

@@ -224,6 +224,120 @@ def sweep_layers(
             _measure(layers, one, picks, row, measured, here)
 
 
+@compiled_loop(inline="always")
+def _total_of(
+    pair: Any, layers: Any, at: int, many: int, values: Array, total: Array, size: Array,
+) -> None:  # fmt: skip
+    """Write the expected values after a pair in a block of layers, [many], and their sizes."""
+    is_sized = size.size > 0
+    total[:many] = 0.0
+    if is_sized:
+        size[:many] = 0.0
+    for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
+        share, row = layers.data[k], values[layers.nodes[k]]
+        begin = np.uint64(at + layers.leads[0, layers.classes[k]])
+        for j in range(many):
+            total[j] += share * row[begin + np.uint64(j)]
+        if is_sized:
+            for j in range(many):
+                size[j] += abs(share * row[begin + np.uint64(j)])
+
+
+@compiled_loop(inline="always")
+def _measure_run(
+    pick: Any, layers: Any, at: int, first: int, past: int, measured: Array, here: Array, s: int,
+) -> None:  # fmt: skip
+    """Write the measures of a pair in a run of layers of a block, [1 + counted, nodes, layers]."""
+    charge_row = 0
+    for j in range(measured.shape[0]):
+        here[first:past] = 0.0
+        for k in range(layers.indptr[pick], layers.indptr[pick + 1]):
+            share, row = layers.data[k], measured[j, layers.nodes[k]]
+            begin = np.uint64(at + layers.leads[0, layers.classes[k]])
+            for i in range(first, past):
+                here[i] += share * row[begin + np.uint64(i)]
+        for i in range(first, past):
+            if j > 0:
+                measured[j, s, at + i] = here[i] + layers.counted[pick, j - 1]
+                continue
+            if layers.charge.shape[0] > 1:
+                charge_row = at + i
+            if layers.growth.size > 0 and layers.paid[at + i] != 0.0:
+                here[i] += layers.paid[at + i] * layers.growth[pick]
+            measured[j, s, at + i] = here[i] + layers.charge[charge_row, layers.column[pick]]
+
+
+@compiled_loop
+def sweep_blocks(
+    layers: Any, block: int, weight: float, owed: Array, saved: Array, values: Array,
+    measured: Array, position: Array, keeps: bool, is_bound: bool, given: Array,
+) -> None:  # fmt: skip
+    """Sweep backward like ``sweep_layers``, in blocks of layers that do not lead to each other.
+
+    Numbers of one node lie side by side, so that a block's sums run over them in the processor's
+    vectors; each is formed in the order of ``sweep_layers``.
+
+    Args:
+        layers: the layers; each class leads equally many layers ahead, ``block`` at least.
+        block: layers of a block.
+        weight: weight of the charge.
+        owed: as in ``sweep_layers``.
+        saved: as in ``sweep_layers``.
+        values: of the layers, written, and of later layers, given, [nodes, all layers].
+        measured: likewise, [1 + counted, nodes, all layers]; no nodes: not computed.
+        position: the choice among each node's pairs, [layers, nodes].
+        keeps: whether the choice is given; values are then not used.
+        is_bound: whether lower bounds are computed, rounded down, rather than least values.
+        given: upper limits of lower bounds, [layers, nodes]; empty: none.
+    """
+    n, top = layers.offsets.size - 1, layers.paid.size
+    total, size = np.empty(block), np.empty(block if is_bound else 0)
+    least, own, picks = np.empty(block), np.empty(block), np.zeros(block, np.int64)
+    while top > 0:
+        many = min(block, top)
+        at = top - many
+        for s in range(n):
+            first = np.int64(layers.offsets[s])
+            if not keeps:
+                least[:] = np.inf
+                for pair in range(first, np.int64(layers.offsets[s + 1])):
+                    _total_of(pair, layers, at, many, values, total, size)
+                    terms = float(layers.indptr[pair + 1] - layers.indptr[pair]) + 4.0
+                    factor = terms * MACHINE_EPSILON if is_bound else 0.0
+                    growth = layers.growth[pair] if layers.growth.size > 0 else 0.0
+                    column, alone = layers.column[pair], max(owed[pair], saved[pair])
+                    if layers.charge.shape[0] > 1:
+                        own[:many] = weight * layers.charge[at:top, column]
+                    else:
+                        own[:many] = weight * layers.charge[0, column]
+                    for j in range(many):
+                        more = weight * layers.paid[at + j] * growth
+                        total[j] = own[j] + owed[pair] - saved[pair] + more + total[j]
+                        if is_bound:
+                            whole = abs(own[j]) + owed[pair] + saved[pair] + more + size[j]
+                            is_single = whole == max(alone, abs(own[j]))  # which is exact
+                            total[j] -= 0.0 if is_single else factor * whole
+                    number = pair - first
+                    for j in range(many):
+                        picks[j] = number if total[j] < least[j] else picks[j]
+                        least[j] = min(least[j], total[j])
+                for j in range(many):
+                    values[s, at + j] = least[j]
+                    if given.size > 0:
+                        values[s, at + j] = min(least[j], given[at + j, s])
+                    if position.size > 0:
+                        position[at + j, s] = picks[j]
+            if measured.shape[1] == 0:
+                continue
+            begun = 0
+            for j in range(1, many + 1):
+                if j == many or position[at + j, s] != position[at + begun, s]:
+                    pick = np.uint64(first) + np.uint64(position[at + begun, s])
+                    _measure_run(pick, layers, at, begun, j, measured, total, s)
+                    begun = j
+        top = at
+
+
 @compiled_loop
 def stream_mass(
     mass: Array, pairs: Array, offsets: Array, successors: Array, probabilities: Array,
@@ -429,6 +543,48 @@ def follow_layer(
         first, begin = indptr[pair], begins[pair]
         for k in range(indptr[pair + np.uint64(1)] - first):
             onward[indices[first + k]] += mass[s] * data[begin + k]
+
+
+@compiled_loop
+def follow_layers(
+    layers: Any, first: int, position: Array, ring: Array, sums: Array,
+) -> None:  # fmt: skip
+    """Send mass on through layers of which each class leads equally many layers ahead.
+
+    Args:
+        layers: all layers.
+        first: the first of them that is followed.
+        position: position of the chosen pair among the node's pairs, [followed, nodes].
+        ring: mass of a layer in row (layer modulo rows); written, [rows, nodes].
+        sums: the measures and their rounding errors, [1 + counted, 2], added to.
+    """
+    rows, to = ring.shape[0], np.empty(layers.leads.shape[1], np.int64)
+    for layer in range(first, first + position.shape[0]):
+        here, even = ring[layer % rows], 0 if layers.charge.shape[0] == 1 else layer
+        for step in range(to.size):
+            to[step] = (layer + layers.leads[0, step]) % rows
+        for s in range(here.size):
+            mass = here[s]
+            if mass <= 0.0:
+                continue
+            here[s] = 0.0
+            pair = layers.offsets[s] + np.uint64(position[layer - first, s])
+            for j in range(sums.shape[0]):  # compensated summation
+                if j > 0:
+                    term = mass * layers.counted[pair, j - 1]
+                else:
+                    term = layers.charge[even, layers.column[pair]]
+                    if layers.growth.size > 0:
+                        term += layers.paid[layer] * layers.growth[pair]
+                    term *= mass
+                whole = sums[j, 0] + term
+                if abs(sums[j, 0]) >= abs(term):
+                    sums[j, 1] += (sums[j, 0] - whole) + term
+                else:
+                    sums[j, 1] += (term - whole) + sums[j, 0]
+                sums[j, 0] = whole
+            for k in range(layers.indptr[pair], layers.indptr[pair + np.uint64(1)]):
+                ring[to[layers.classes[k]], layers.nodes[k]] += mass * layers.data[k]
 
 
 @one_or_all_cores
