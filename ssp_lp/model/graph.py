@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph
 
 from ssp_lp.arrays import (
     BoolArray,
@@ -270,7 +269,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
     linked = np.concatenate([columns, np.asarray(start, dtype=columns.dtype)])
     graph = edges(linked, np.append(offsets, linked.size))
     check_time()
-    order = csgraph.breadth_first_order(graph, n_states, return_predecessors=False)
+    order = sp.csgraph.breadth_first_order(graph, n_states, return_predecessors=False)
     mask = np.zeros(n_states + 1, dtype=np.bool_)
     mask[order] = True
     return mask[:n_states]
@@ -339,7 +338,7 @@ def nearer_pairs(
     sources = np.concatenate([home[before.pairs], pair_state[useful]])
     links = edges(sources, np.append(before.offsets, sources.size))
     check_time()
-    parent = csgraph.breadth_first_order(links, n)[1]
+    parent = sp.csgraph.breadth_first_order(links, n)[1]
     check_time()
     reached = parent >= 0
     steps, parent[~reached] = reached.astype(np.int32), n
@@ -503,7 +502,7 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
         once = sp.csr_array((present, columns.copy(), offsets), shape=shape)
         once.sum_duplicates()
         check_time()
-        strong = csgraph.connected_components(
+        strong = sp.csgraph.connected_components(
             edges(once.indices, once.indptr), connection="strong"
         )[1]
         _, first, back = np.unique(strong, return_index=True, return_inverse=True)
