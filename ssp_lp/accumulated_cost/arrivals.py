@@ -26,7 +26,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from ssp_lp.accumulated_cost.totals import common_unit, exact_cost, last_layer, layers_of, totals_of
 from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, concatenated_ranges
@@ -91,7 +90,7 @@ class _FreeMoves:
         inside.sum_duplicates()
         leak = np.bincount(live.source[~free], weights=live.probability[~free], minlength=n)
         self._inside, self._leaving = inside, leak + live.lost
-        count, self._component = connected_components(inside, directed=False)
+        count, self._component = sp.csgraph.connected_components(inside, directed=False)
         self._busy = np.zeros(count, dtype=np.bool_)
         self._busy[self._component[where[0]]] = True
 

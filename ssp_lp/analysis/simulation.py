@@ -13,7 +13,6 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph
 
 from ssp_lp.analysis.evaluation import entering_charges, lost_situations, state_give_up_charges
 from ssp_lp.arrays import (
@@ -128,7 +127,7 @@ def greatest_total(
         occurs &= np.repeat(pairs, np.diff(model.outcome_offsets))
     entries = np.ones(int(occurs.sum())), (source[occurs], model.successors[occurs])
     graph = sp.csr_array(entries, shape=(model.n_states, model.n_states))
-    label = csgraph.connected_components(graph, connection="strong")[1]
+    label = sp.csgraph.connected_components(graph, connection="strong")[1]
     going, again = occurs & ~over[source], label[source] == label[model.successors]
     dearest = steps * float(model.costs[going].max(initial=0.0))
     repeated = steps * float(model.costs[going & again].max(initial=0.0))

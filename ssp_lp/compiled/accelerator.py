@@ -67,7 +67,11 @@ def has_accelerator() -> bool:
     Raises:
         ModelError: the environment variable has another value.
     """
-    wish = os.environ.get(SWITCH, "")
+    return _is_usable(os.environ.get(SWITCH, ""))
+
+
+def _is_usable(wish: str) -> bool:
+    """Return whether numba is installed and not switched off, and load it."""
     if wish not in ("", "numba", "none"):
         raise ModelError(f"{SWITCH} must be 'numba' or 'none', not {wish!r}")
     return wish != "none" and not _loops.is_given_up and _is_installed() and _load()
@@ -114,10 +118,10 @@ def accelerated(entries: float, *loops: str) -> bool:
     """
     wish = os.environ.get(SWITCH, "")
     if wish or not _is_installed():
-        return wish != "none" and has_accelerator()
+        return _is_usable(wish)
     share = (entries + _CALL) / len(loops)
     judged = [_loops.is_worth(loop, share) for loop in loops]
-    return all(judged) and has_accelerator()
+    return all(judged) and _is_usable(wish)
 
 
 def may_compile(loop: str) -> bool:

@@ -1,4 +1,4 @@
-"""Compiled search of strong components, each after the components that it leads to.
+"""Compiled searches of a graph: reached states, and strong components in order.
 
 Index arrays are unsigned views, because numba tests signed indices for negative values.
 """
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, unsigned
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
 from ssp_lp.compiled.cores import compiled_loop
 from ssp_lp.compiled.deadline import check_time
 
@@ -17,6 +17,88 @@ Array = np.ndarray[Any, Any]
 
 _CLOSED = np.uint32(2**32 - 1)  # above every number of a state that is still open
 _TURNS = 100_000  # turns of a search between two checks of the time
+
+
+def transpose(
+    n_states: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Return the pairs that may lead to each state: offsets, [states + 1], and pairs, [entries]."""
+    check_time()
+    places = np.zeros(n_states + 2, dtype=np.int64)
+    pairs = np.empty(successors.size, dtype=np.int32)
+    count_and_place(outcome_offsets, unsigned(successors), probabilities, places, pairs)
+    return places[:-1], pairs[: places[-1]]
+
+
+@compiled_loop
+def count_and_place(
+    outcome_offsets: Array, successors: Array, probabilities: Array, places: Array, pairs: Array
+) -> None:
+    """Sort the pairs by their successors, by counting: first the offsets, then the pairs."""
+    for k in range(successors.size):
+        if probabilities[k] > 0.0:
+            places[successors[k] + 2] += 1
+    for state in range(2, places.size):
+        places[state] += places[state - 1]
+    for pair in range(outcome_offsets.size - 1):
+        for k in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
+            if probabilities[k] > 0.0:
+                past = successors[k] + 1
+                pairs[places[past]] = pair
+                places[past] += 1
+
+
+def search_backwards(
+    graph: tuple[IntArray, IntArray, IntArray], open_pairs: BoolArray, wanted: IntArray,
+    states: IntArray, choice: IntArray | None = None, distance: IntArray | None = None,
+) -> None:  # fmt: skip
+    """Close the pairs that may lead to a reached state, breadth-first, in place.
+
+    A state is reached once no more pairs are wanted of it: after one closed pair if some pair may
+    lead to a reached state, after all of its open pairs if every pair may.
+
+    Args:
+        graph: offsets of the predecessors, [states + 1], and these pairs; the state of each pair.
+        open_pairs: [pairs].
+        wanted: number of pairs of each state that are still wanted, [states] int64.
+        states: states reached at first.
+        choice: the first of the pairs by which each state is reached earliest, [states] int64.
+        distance: zeros; steps from each reached state to the first ones, [states] int32.
+    """
+    n, (offsets, pairs, home) = wanted.size, graph
+    choice = np.empty(n, dtype=np.int64) if choice is None else choice
+    distance = np.zeros(n, dtype=np.int32) if distance is None else distance
+    queue, head, filled = np.empty(n, dtype=np.uint32), 0, states.size
+    queue[:filled] = states
+    arrays = offsets, unsigned(pairs), unsigned(home), open_pairs, wanted, choice, distance, queue
+    while head < filled:
+        check_time()
+        head, filled = take_from_queue(*arrays, head, filled)
+
+
+@compiled_loop
+def take_from_queue(
+    offsets: Array, pairs: Array, home: Array, open_pairs: Array, wanted: Array, choice: Array,
+    distance: Array, queue: Array, head: int, filled: int,
+) -> tuple[int, int]:  # fmt: skip
+    """Take some states from the queue of ``search_backwards``; return its new head and end."""
+    past = head + _TURNS
+    while head < min(filled, past):
+        near = queue[head]
+        head, steps = head + 1, distance[near] + 1
+        for entry in range(offsets[near], offsets[near + 1]):
+            pair = pairs[entry]
+            if not open_pairs[pair]:
+                continue
+            open_pairs[pair] = False
+            state = home[pair]
+            wanted[state] -= 1
+            if wanted[state] == 0:
+                choice[state], distance[state], queue[filled] = pair, steps, state
+                filled += 1
+            elif wanted[state] < 0 and distance[state] == steps and pair < choice[state]:
+                choice[state] = pair
+    return head, filled
 
 
 def order_components(

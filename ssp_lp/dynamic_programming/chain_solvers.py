@@ -15,9 +15,8 @@ from functools import cached_property
 from weakref import proxy
 
 import numpy as np
+import scipy
 import scipy.sparse as sp
-from scipy.linalg import solve_triangular
-from scipy.sparse import csgraph, linalg
 
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of, unsigned
 from ssp_lp.compiled.accelerator import accelerated, with_twin
@@ -106,7 +105,7 @@ class LargeComponent:
     @cached_property
     def _band(self) -> tuple[IntArray, int]:
         """An order in which the component is a narrow band, and the bandwidth."""
-        order = csgraph.reverse_cuthill_mckee(self._own, symmetric_mode=False)
+        order = sp.csgraph.reverse_cuthill_mckee(self._own, symmetric_mode=False)
         place = np.empty(len(order), dtype=np.int64)
         place[order] = np.arange(len(order))
         entry = self._own.tocoo()
@@ -331,10 +330,10 @@ class Iteration:
             self.products += 1
             return np.asarray(y - self.own @ y)
 
-        system = linalg.LinearOperator(self.own.shape, matvec=missed, dtype=np.float64)
+        system = sp.linalg.LinearOperator(self.own.shape, matvec=missed, dtype=np.float64)
         with np.errstate(all="ignore"):  # a breakdown shows in the residual
             return np.asarray(
-                linalg.bicgstab(system, residual, rtol=0.0, atol=target, maxiter=most)[0]
+                sp.linalg.bicgstab(system, residual, rtol=0.0, atol=target, maxiter=most)[0]
             )
 
 
@@ -533,7 +532,7 @@ def equations(
     )
 
 
-def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperLU:
+def factorised(system: sp.csc_array, *, in_order: bool = False) -> sp.linalg.SuperLU:
     """Compute sparse factors, in the given order if that is topological.
 
     Raises:
@@ -541,7 +540,7 @@ def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperL
     """
     order = "NATURAL" if in_order else "MMD_AT_PLUS_A"
     try:
-        factors: linalg.SuperLU = linalg.splu(
+        factors: sp.linalg.SuperLU = sp.linalg.splu(
             system,  # type: ignore[call-overload]
             permc_spec=order,
             diag_pivot_thresh=0.0,  # diagonally dominant by rows: no pivoting
@@ -587,7 +586,9 @@ def reduction_solver(inner: FloatArray, leaving: FloatArray) -> Solver:
 
     def solve(rewards: FloatArray) -> FloatArray:
         """Return the totals of rewards; off-diagonal entries are negative, so nothing cancels."""
-        entered = solve_triangular(factors, rewards)
-        return np.asarray(solve_triangular(factors, entered, lower=True, unit_diagonal=True))
+        entered = scipy.linalg.solve_triangular(factors, rewards)
+        return np.asarray(
+            scipy.linalg.solve_triangular(factors, entered, lower=True, unit_diagonal=True)
+        )
 
     return solve

@@ -15,7 +15,6 @@ from weakref import proxy
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph, linalg
 
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of, unsigned
 from ssp_lp.compiled.accelerator import accelerated, with_twin
@@ -212,7 +211,7 @@ class System:
         return visits
 
     @cached_property
-    def _transposed_factors(self) -> tuple[IntArray, linalg.SuperLU]:
+    def _transposed_factors(self) -> tuple[IntArray, sp.linalg.SuperLU]:
         """Order of the states, and sparse factors for the transposed equations."""
         if self.components.largest > EXACTLY_SOLVED:
             return self.home, factorised(equations(self.matrix, self.exits))
@@ -360,7 +359,7 @@ def strong_components(
     edges: sp.csr_array = graph.copy()  # scipy needs edges without duplicates and zeros
     edges.sum_duplicates()
     edges.eliminate_zeros()
-    label = csgraph.connected_components(edges, connection="strong")[1]
+    label = sp.csgraph.connected_components(edges, connection="strong")[1]
     entry = edges.tocoo()
     if (label[entry.row] < label[entry.col]).any():  # scipy does not document the order
         raise SolverError("the strong components that scipy found are in no topological order")

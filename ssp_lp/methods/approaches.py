@@ -15,7 +15,6 @@ import numpy as np
 from ssp_lp import options
 from ssp_lp.analysis.evaluation import Evaluation
 from ssp_lp.errors import Argument, ModelError
-from ssp_lp.game.optimum import checked_setting
 from ssp_lp.methods.columns import (
     best_within_budget,
     cheapest_at_least_failure,
@@ -141,6 +140,8 @@ def refusal(problem: Problem, method: options.Method) -> ModelError | None:
         return ModelError("the game chooses its own cap M: leave ", Argument("cost_cap"), " out")
     if method.tail is not None and not problem.ratio:
         return ModelError(f"a tail is for a cost given success, not {name}: leave it out")
+    from ssp_lp.game.optimum import checked_setting
+
     try:
         checked_setting(problem)
     except ModelError as error:

@@ -33,7 +33,6 @@ from ssp_lp.compiled.deadline import (
 )
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.deterministic import best_deterministic
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.methods.refinement import (
     SPREAD,
@@ -143,6 +142,8 @@ def best_within_budget(
     solution = assembled(problem, answer, run, sense)
     if not options.deterministic:
         return solution
+    from ssp_lp.methods.deterministic import best_deterministic
+
     reason += "; then one policy by branch and bound"
     single = best_deterministic(solution, optimum, options.tolerance)
     return replace(single, run=replace(single.run, reason=reason, deterministic=True))

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph
 
 from ssp_lp.accumulated_cost.charges import TOTAL_COST
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
@@ -257,7 +256,7 @@ def worth_bound(problem: Problem) -> float:
     begins = np.asarray(model.outcome_offsets)[model.pair_offsets].astype(np.int32)
     ways = model.costs, model.successors.astype(np.int32), begins
     graph = sp.csr_array(ways, shape=(model.n_states, model.n_states))
-    totals = csgraph.dijkstra(graph, indices=np.flatnonzero(start > 0.0), min_only=True)
+    totals = sp.csgraph.dijkstra(graph, indices=np.flatnonzero(start > 0.0), min_only=True)
     least_total = _DEAREST * float(totals[model.goal_mask].min(initial=np.inf))
     least_total = least_total if np.isfinite(least_total) else 0.0
     charge = float((semantics.charge(problem.ratio) or TOTAL_COST).at(np.array([least_total]))[0])

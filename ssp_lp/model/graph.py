@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph
 
 from ssp_lp.arrays import (
     BoolArray,
@@ -29,6 +28,7 @@ from ssp_lp.arrays import (
     segment_ids,
     sorted_unique,
 )
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ Fact = TypeVar("Fact")
 _TURNS = 1_000  # of a search, between two checks of the time
 _FAR = np.iinfo(np.int32).max - 1  # distance of states that cannot be reached
 _MANY_OUTCOMES = 128_000  # from which a short search saves a round of long ones
+_SEARCH = "graphs.take_from_queue"  # the compiled search
 _FEW, _FEW_ENTRIES = 32, 128  # states, and their predecessors, that a loop handles faster
 
 
@@ -83,13 +84,20 @@ class Graph:
         return read_only(segment_ids(self.pair_offsets))
 
     @cached_property
+    @with_twin
     def predecessors(self) -> _Predecessors:
         """Pairs that may lead to each state: the reversed graph; computed on first use."""
-        ends, columns = possible_steps(self.outcome_offsets, self.successors, self.probabilities)
-        present, shape = np.ones(columns.size, dtype=np.bool_), (self.n_pairs, self.n_states)
-        ends = narrow(ends)
-        rows = csr_of(present, columns.astype(ends.dtype, copy=False), ends, shape).tocsc()
-        offsets, pairs = rows.indptr.astype(np.int64), rows.indices.astype(np.int32, copy=False)
+        arrays = self.outcome_offsets, self.successors, self.probabilities
+        if accelerated(self.n_outcomes, "graphs.count_and_place"):
+            from ssp_lp.compiled.graphs import transpose
+
+            offsets, pairs = transpose(self.n_states, *arrays)
+        else:
+            ends, columns = possible_steps(*arrays)
+            present, shape = np.ones(columns.size, dtype=np.bool_), (self.n_pairs, self.n_states)
+            ends = narrow(ends)
+            rows = csr_of(present, columns.astype(ends.dtype, copy=False), ends, shape).tocsc()
+            offsets, pairs = rows.indptr.astype(np.int64), rows.indices.astype(np.int32, copy=False)
         return _Predecessors(read_only(offsets), read_only(pairs))
 
 
@@ -261,7 +269,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
     linked = np.concatenate([columns, np.asarray(start, dtype=columns.dtype)])
     graph = edges(linked, np.append(offsets, linked.size))
     check_time()
-    order = csgraph.breadth_first_order(graph, n_states, return_predecessors=False)
+    order = sp.csgraph.breadth_first_order(graph, n_states, return_predecessors=False)
     mask = np.zeros(n_states + 1, dtype=np.bool_)
     mask[order] = True
     return mask[:n_states]
@@ -290,6 +298,7 @@ def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
     return choice, np.where(choice >= 0, distance + 1, 0)
 
 
+@with_twin
 def nearer_pairs(
     graph: Graph,
     leaving: BoolArray,
@@ -312,6 +321,16 @@ def nearer_pairs(
     before, pair_state, n = graph.predecessors, graph.pair_state, graph.n_states
     choice = np.full(n, -1, dtype=np.int64)
     useful: IntArray = (leaving if usable is None else leaving & usable).nonzero()[0]
+    if accelerated(len(before.pairs), _SEARCH):
+        from ssp_lp.compiled.graphs import search_backwards
+
+        begun = useful[run_starts(pair_state[useful])]
+        wanted, taken = np.ones(n, dtype=np.int64), pair_state[begun]
+        wanted[taken], choice[taken] = 0, begun
+        open_pairs = np.ones(len(pair_state), dtype=np.bool_) if usable is None else usable.copy()
+        reversed_graph = before.offsets, before.pairs, pair_state
+        search_backwards(reversed_graph, open_pairs, wanted, taken, choice, distance)
+        return choice
     # Search breadth-first against the edges, from an added node n before all leaving pairs.
     # Unusable pairs are given to n itself, so that they reach no state. scipy returns the parent
     # of each state in the tree of the search, and doubling the jumps counts the steps to n.
@@ -319,7 +338,7 @@ def nearer_pairs(
     sources = np.concatenate([home[before.pairs], pair_state[useful]])
     links = edges(sources, np.append(before.offsets, sources.size))
     check_time()
-    parent = csgraph.breadth_first_order(links, n)[1]
+    parent = sp.csgraph.breadth_first_order(links, n)[1]
     check_time()
     reached = parent >= 0
     steps, parent[~reached] = reached.astype(np.int32), n
@@ -339,6 +358,7 @@ def nearer_pairs(
     return choice
 
 
+@with_twin
 def drain(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> None:
@@ -352,6 +372,12 @@ def drain(
     if not closed_states.size:
         return
     before = model.predecessors
+    if accelerated(len(before.pairs), _SEARCH):
+        from ssp_lp.compiled.graphs import search_backwards
+
+        reversed_graph = before.offsets, before.pairs, model.pair_state
+        search_backwards(reversed_graph, open_pairs, open_counts, closed_states)
+        return
     while closed_states.size:
         check_time()
         entries = (before.offsets[closed_states + 1] - before.offsets[closed_states]).sum()
@@ -476,7 +502,7 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
         once = sp.csr_array((present, columns.copy(), offsets), shape=shape)
         once.sum_duplicates()
         check_time()
-        strong = csgraph.connected_components(
+        strong = sp.csgraph.connected_components(
             edges(once.indices, once.indptr), connection="strong"
         )[1]
         _, first, back = np.unique(strong, return_index=True, return_inverse=True)

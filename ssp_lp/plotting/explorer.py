@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate, pair_visits, success_costs
 from ssp_lp.analysis.simulation import simulate
@@ -241,7 +240,7 @@ def _layout(problem: Problem) -> FloatArray:
     rows = segment_ids(model.pair_offsets)[segment_ids(model.outcome_offsets)]
     shape = model.n_states, model.n_states
     links = sp.csr_array((np.ones(model.n_outcomes), (rows, model.successors)), shape=shape)
-    steps: FloatArray = csgraph.dijkstra(links, indices=begun, unweighted=True, min_only=True)
+    steps: FloatArray = sp.csgraph.dijkstra(links, indices=begun, unweighted=True, min_only=True)
     points = np.full((model.n_states, 2), np.nan)
     for step in range(int(steps[np.isfinite(steps)].max()) + 1):
         here = np.flatnonzero(steps == step)

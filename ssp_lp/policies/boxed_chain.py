@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from ssp_lp.arrays import IMPROVEMENT, BoolArray, FloatArray, IntArray, segment_ids, segment_sums
 from ssp_lp.compiled.deadline import check_time
@@ -101,7 +100,7 @@ class BoxedChain:
             within = kept[source] & kept[target]
             steps = sp.csr_array((within[within], (source[within], target[within])), shape=(n, n))
             links = edges(steps.indices, steps.indptr)
-            strong = connected_components(links, connection="strong")[1]
+            strong = sp.csgraph.connected_components(links, connection="strong")[1]
             within &= strong[source] == strong[target]
             fewer = kept & self._keeping(within)
             if fewer.sum() == kept.sum():

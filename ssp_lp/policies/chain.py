@@ -7,7 +7,6 @@ from functools import cached_property, partial
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import breadth_first_order
 
 from ssp_lp.arrays import (
     BoolArray,
@@ -174,7 +173,7 @@ class Chain:
         begins = sp.csr_array((self.start[None, :] > 0.0).astype(np.float64))
         edges = sp.vstack([sp.hstack([self.matrix, sp.csr_array((self.n_nodes, 1))]),
                            sp.hstack([begins, sp.csr_array((1, 1))])], format="csr")  # fmt: skip
-        reached = breadth_first_order(edges, self.n_nodes, return_predecessors=False)
+        reached = sp.csgraph.breadth_first_order(edges, self.n_nodes, return_predecessors=False)
         place = np.full(self.n_nodes + 1, self.n_nodes)
         place[reached] = np.arange(len(reached))
         order = np.argsort(place[self.branch_node], kind="stable")

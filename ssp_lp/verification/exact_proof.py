@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from ssp_lp.arrays import offsets_of
 from ssp_lp.column_generation.restricted_master import ExactSimplex
@@ -362,7 +361,7 @@ def solved(chosen: Sequence[_Way]) -> list[int]:
     size, values, last = len(chosen), [0] * len(chosen), 0
     entries = [(i, i, 1.0) for i in range(size)]
     entries += [(i, j, -a / way.total) for i, way in enumerate(chosen) for a, j in way.outcomes]
-    factors = splu(sp.csc_array(_matrix(entries, (size, size))))
+    factors = sp.linalg.splu(sp.csc_array(_matrix(entries, (size, size))))
     while True:
         lack = [way.own + sum(a * values[j] for a, j in way.outcomes) - way.total * value
                 for way, value in zip(chosen, values, strict=True)]  # fmt: skip

@@ -163,13 +163,13 @@ def test_scipy_is_given_numbers_of_32_bits(accelerate, monkeypatch):
     """Its searches before version 1.15 take no others."""
     accelerate(False)
     model, rng = drawn_model(*SEEDS[0])
-    graphs, search = [], graph.csgraph.breadth_first_order
+    graphs, search = [], graph.sp.csgraph.breadth_first_order
 
     def kept(given, *rest, **named):
         graphs.append(given)
         return search(given, *rest, **named)
 
-    monkeypatch.setattr(graph.csgraph, "breadth_first_order", kept)
+    monkeypatch.setattr(graph.sp.csgraph, "breadth_first_order", kept)
     graph.nearer_pairs(model, rng.random(model.n_pairs) < 0.5)
     graph.reaching_states(model, model.goal_mask)
     assert [(g.indices.dtype, g.indptr.dtype) for g in graphs] == 2 * [(np.int32, np.int32)]
