@@ -551,7 +551,7 @@ class CompiledLayered(CompiledProblem):
         return replace(self, cap=wanted, tails=tails)
 
     def charging(self, charge: Charge, cap: float | None = None) -> CompiledLayered:
-        """Return the problem with another charge and cap; no charge is exponential."""
+        """Return the problem with another charge and cap; both charges are not exponential."""
         return replace(self, charge=charge, cap=cap)
 
     def safest(self) -> CompiledLayered:

@@ -344,7 +344,7 @@ class _Checkpoint:
         if self._folder is None:
             return []
         if not self._folder.parent.is_dir() or self._folder.is_file():
-            raise ModelError(f"the checkpoint {self._folder} must be a folder in an existing one")
+            raise ModelError(f"checkpoint {self._folder} must be a folder in an existing folder")
         return sorted(one.parent for one in self._folder.glob("*/policy.npz"))
 
     def begun(self, process: PartitionedProcess) -> DualGuess | None:

@@ -93,7 +93,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def stop_marks(self) -> IntArray:
-        """How a run that stops in each state ends, as a number, [states].
+        """End of a run that stops in each state, as a number, [states].
 
         A dead-end's own number, otherwise the number of giving up (``graph.end_marks``).
         """
@@ -102,7 +102,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def end_marks(self) -> IntArray:
-        """How a run in each state ends, as a number; -1: it continues, [states]."""
+        """End of a run in each state, as a number; -1: the run continues, [states]."""
         return np.where(self.goal_mask, 0, np.where(self.ended, self.stop_marks, -1))
 
     @cached_property

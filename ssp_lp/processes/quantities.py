@@ -424,9 +424,7 @@ def _listed_costs(model: SSP, cost: NestedCosts) -> FloatArray:
     for state, actions in cost.items():
         places = model.places_of(state)
         if not isinstance(actions, Mapping):
-            raise ModelError(
-                f"the costs of state {state!r} must be {{action: cost}}, not {actions!r}"
-            )
+            raise ModelError(f"costs of state {state!r} must be {{action: cost}}, not {actions!r}")
         acting = [int(k) for k in places if model.pair_offsets[k] < model.pair_offsets[k + 1]]
         if not acting and isinstance(model, ProductSSP) and model.find(state) is None:
             _listed_costs(model.original, {state: actions})  # without actions there: only check

@@ -271,7 +271,7 @@ FORGED = {
         [SHARED, GOAL, DEAD], sharing(["1/2", "1/2"]), {"failure": {"share": "-1"}},
         "a share is a probability",
     ),
-    "a file that goes on": ([STEP, GOAL], [one_step(), one_step()], {}, "the file goes on"),
+    "a file that goes on": ([STEP, GOAL], [one_step(), one_step()], {}, "lines after its proof"),
     "an answer to no quantile": ([STEP, GOAL], [one_step()], {"answer": "1"}, "an answer is a"),
     "a quantile at a discount": (
         [STEP, GOAL], [arriving("1", "1"), arriving("1", "1")],
