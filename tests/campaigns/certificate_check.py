@@ -57,6 +57,7 @@ TOTALS: dict[str, Callable[[SSP, Task, Asked], Any]] = {
 
 MOST = 400  # states with totals in a program
 WIDTH, AGREED = 1e-9, 1e-7  # of an interval; of solvers in floating point; both of 1 + |value|
+ROUNDED = 1e-9  # of a share, by solvers in floating point
 Lines = list[bytes]
 
 
@@ -95,14 +96,6 @@ def lines_of(path: Path) -> Lines:
     return gzip.decompress(path.read_bytes()).splitlines()
 
 
-def known_of(lines: Lines) -> float | None:
-    """The optimum of what a file asks, by a program; not a number where totals go on too far."""
-    try:
-        return optimum(lines, MOST, whole=True)
-    except OverflowError:
-        return float("nan")
-
-
 def holds(checked: Checked, known: float | None) -> bool:
     """Whether an interval holds an optimum, but for the rounding of the latter."""
     if known is None:
@@ -111,6 +104,22 @@ def holds(checked: Checked, known: float | None) -> bool:
         return True
     room = AGREED * (1.0 + abs(known))
     return float(checked.lower) - room <= known <= float(checked.upper) + room
+
+
+def known_of(lines: Lines, checked: Checked) -> float | None:
+    """The optimum of what a file asks, by a program; not a number where totals go on too far.
+
+    A quantile that is exceeded with just the share that it may be is one of two totals, between
+    which the rounding of a program decides: that is taken which was proved, if one of them was.
+    """
+    try:
+        known = optimum(lines, MOST, whole=True, room=ROUNDED)
+        if not holds(checked, known):
+            other = optimum(lines, MOST, whole=True, room=-ROUNDED)
+            known = other if holds(checked, other) else known
+    except OverflowError:
+        return float("nan")
+    return known
 
 
 def interval(checked: Checked) -> str:
@@ -306,7 +315,7 @@ def check_changed(
     if found[: n + 1] != lines[: n + 1] and check_certificate(path, problem=problem).accepted:
         yield f"a {kind} was changed, and the file accepted as an answer to the first question"
     tally[f"changed {kind}, accepted"] += 1
-    known = known_of(found)
+    known = known_of(found, checked)
     if not holds(checked, known):
         yield f"{kind}: {interval(checked)} is accepted, the optimum is {known!r}"
 
@@ -344,7 +353,7 @@ def told(case: Case, seed: int, changes: int, tally: Counter[str]) -> Iterator[s
         lines = lines_of(path)
         tally[f"certificates of {name}"] += 1
         for source, known in (
-            ("the question's program", known_of(lines)),
+            ("the question's program", known_of(lines, written)),
             ("the program of the draw", optimum_of_draw()),
             ("solve", solution.objective),
         ):

@@ -15,17 +15,19 @@ MOST_STATES = 1000  # with steps taken
 LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
 
 
-def optimum(lines: Sequence[bytes], most: int = 120, *, whole: bool = False) -> float | None:
+def optimum(
+    lines: Sequence[bytes], most: int = 120, *, whole: bool = False, room: float = 1e-9
+) -> float | None:
     """The optimum of the question in the first line, on the states of the others; None: none.
 
     Where totals count, so many states with totals are told apart; an OverflowError says that these
-    are not all, where the whole is asked for.
+    are not all, where the whole is asked for. A quantile may be exceeded so much more often.
     """
     question, *states = [json.loads(line) for line in lines[: json.loads(lines[0])["states"] + 1]]
     if question["horizon"] is not None:
         question, states = within_steps(question, states)
     if question["quantile"] is not None:
-        return quantile(question, states, whole=whole)
+        return quantile(question, states, whole=whole, room=room)
     if charged := bool(question["charge"]):
         question, states = by_totals(question, states, most, whole=whole)
     n = len(states)
@@ -300,12 +302,14 @@ def goal_totals(question: dict, states: list[dict], most: int, *, whole: bool) -
     return sorted(ends)
 
 
-def quantile(question: dict, states: list[dict], most: int = 12, *, whole: bool) -> float | None:
+def quantile(
+    question: dict, states: list[dict], most: int = 12, *, whole: bool, room: float
+) -> float | None:
     """The least of the first totals at the goal that is exceeded rarely enough; None: none is."""
     for total in goal_totals(question, states, most, whole=whole):
         late = [[">=", "0", "0", "0"], [">", str(total), "1", "0"]]
         late = {**question, "quantile": None, "charge": late}
         share = optimum([json.dumps(line).encode() for line in (late, *states)])
-        if share is not None and share <= 1.0 - float(Fraction(question["quantile"])) + 1e-9:
+        if share is not None and share <= 1.0 - float(Fraction(question["quantile"])) + room:
             return float(total)
     return None
