@@ -158,15 +158,16 @@ class Halo:
         return np.append(np.arange(self.first, self.end), self.ghosts)
 
     def settled(self, sweep: Callable[[BoolArray], BoolArray], mask: BoolArray) -> BoolArray:
-        """Repeat sweeps of each rank's own rows until nothing changes on any rank.
+        """Repeat sweeps of each rank's own rows until no ghost changes on any rank.
 
         Args:
-            sweep: maps a mask to a mask by the rank's own rows, [known states].
+            sweep: maps a mask to a mask by the rank's own rows, complete for these ghosts, [known
+                states].
             mask: the first mask, [known states].
         """
         while True:
             found = self.filled(sweep(mask))
-            if not self.ranks.any(found != mask):
+            if not self.ranks.any(found[self.n_own :] != mask[self.n_own :]):
                 return found
             mask = found
 
