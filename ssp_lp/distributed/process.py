@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,6 +23,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     exact_sum,
+    fields_of,
     weighted,
 )
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, pricing_weights
@@ -33,7 +34,7 @@ from ssp_lp.distributed.ranks import Halo, Ranks
 from ssp_lp.dynamic_programming.bellman import Moves, Work, best_pairs, chosen_rows
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.dual_bound import shortfall
-from ssp_lp.dynamic_programming.dynamics import SETTLED, Dynamics
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT
 from ssp_lp.dynamic_programming.evaluation import EVALUATED, RUN_ACCURACY
 from ssp_lp.errors import ModelError, SolverError
@@ -88,7 +89,8 @@ class _Equations:
             values: approximate values of the policy, [own nodes]; PETSc's unknowns are sorted by
                 them, nodes near the ends first.
         """
-        self.halo, self.choice, dynamics = process.halo, choice, process.dynamics
+        self.halo, self.choice, self.values = process.halo, choice, values
+        dynamics = process.dynamics
         self._order, own = np.argsort(values, kind="stable"), np.arange(self.halo.n_own)
         rows = chosen_rows(dynamics.transitions, choice)
         self.moves = Moves(own.astype(np.int32), rows, dynamics.exits[choice])
@@ -109,7 +111,7 @@ class _Equations:
 
     @cached_property
     def _solver(self) -> tuple[Any, ...]:
-        """PETSc's solver (BiCGStab with SOR; LU if few rows), two vectors, the matrix."""
+        """PETSc's solver (BiCGStab, block ILU; LU if few rows), two vectors, the matrix."""
         halo, order, petsc = self.halo, self._order, self.halo.ranks.petsc
         place, rows = np.empty(halo.n_own), self.moves.transitions
         place[order] = np.arange(halo.n_own)
@@ -123,7 +125,7 @@ class _Equations:
         ksp, is_small = petsc.KSP().create(halo.ranks.comm), halo.n_all <= DIRECT_STATES
         ksp.setOperators(matrix)
         ksp.setType("preonly" if is_small else "bcgs")
-        ksp.getPC().setType("redundant" if is_small else "sor")
+        ksp.getPC().setType("redundant" if is_small else "bjacobi")
         if not is_small:
             ksp.setOptionsPrefix("ssp_lp_")
             ksp.setFromOptions()
@@ -228,12 +230,6 @@ class PartitionedProcess(PricingProblem):
         return int(self.rewards.shape[1])
 
     @property
-    def n_states(self) -> int:
-        """Number of own states of the model."""
-        part: Any = self.labelled.quotient.model
-        return int(part.halo.n_own)
-
-    @property
     def value_shape(self) -> tuple[int, ...]:
         """Shape of a rank's values, [own nodes]."""
         return (self.halo.n_own,)
@@ -269,6 +265,7 @@ class PartitionedProcess(PricingProblem):
             choice = self._swept(cost, choice, values)
             equations = self._leaving_equations(choice, values)
             values, _ = equations.solve(cost[equations.choice], values, accuracy)
+            equations.values = values
             better = self._better(cost, values, equations.choice, accuracy)
             work += Work(1 + _SWEEPS, equations.products)
             if better is not None:
@@ -280,8 +277,8 @@ class PartitionedProcess(PricingProblem):
             if self.ranks.any(settled != equations.choice):
                 equations.clear()
                 equations = self._leaving_equations(settled, values)
-            column = self._measured(equations, totals, work, weights, values)
-            totals = np.asarray(column.totals)
+            column = self._measured(equations, totals, weights)
+            work, totals = work + column.work, np.asarray(column.totals)
             values = weighted(totals[:, :-1], weights)
             better = self._better(cost, values, equations.choice, EXACT)
             if better is None or accuracy <= EXACT:
@@ -289,7 +286,7 @@ class PartitionedProcess(PricingProblem):
             choice, accuracy = better, EXACT
         if self.kept is not None:
             self.kept(self._positions(column), weights)
-        return column
+        return replace(column, work=work)
 
     def _better(
         self, cost: FloatArray, values: FloatArray, choice: IntArray, accuracy: float
@@ -305,10 +302,9 @@ class PartitionedProcess(PricingProblem):
         offsets = self.dynamics.pair_offsets[: self.halo.n_own + 1]
         known = self.halo.filled(values)
         backup = best_pairs(offsets, self.dynamics.transitions, cost, known, choice)
-        noise = IMPROVEMENT * np.abs(backup.here)
-        if accuracy > EXACT:
-            noise += accuracy * self.ranks.greatest(np.abs(values).max(initial=0.0))
-        better = backup.here - backup.minima > noise
+        noise = accuracy * self.ranks.greatest(np.abs(values).max(initial=0.0))
+        least = IMPROVEMENT * np.abs(backup.here) + (noise if accuracy > EXACT else 0.0)
+        better = backup.here - backup.minima > least
         if not self.ranks.any(better):
             return None
         return np.where(better, backup.choice, choice).astype(np.int32)
@@ -329,16 +325,12 @@ class PartitionedProcess(PricingProblem):
         n, entries = self.halo.n_own, len(self.dynamics.transitions.indices)
         if self.ranks.any(not accelerated(entries, "policy_improvement.improve_states")):
             return choice  # policy iteration alone converges as well
-        at_once, changed = _SWEEPS if self.ranks.comm.size == 1 else _EXCHANGED, [0.0]
         full, known = np.zeros(self.halo.size, dtype=np.int32), self.halo.filled(values)
         full[:n] = choice
-        for _ in range(_SWEEPS // at_once):
-            before, how = full.copy(), (cost, full, known, 0.0, at_once)
+        for _ in range(_SWEEPS // _EXCHANGED):
+            how = cost, full, known, 0.0, _EXCHANGED
             self.dynamics.improve_by_sweeps(*how, is_sorted_anew=True, states=np.arange(n))
             known = self.halo.filled(known)
-            changed.append(float(self.ranks.total(np.count_nonzero(full != before))))
-            if changed[-1] <= SETTLED * max(changed):
-                break
         values[:] = known[:n]
         return full[:n]
 
@@ -388,25 +380,15 @@ class PartitionedProcess(PricingProblem):
             SolverError: the policy never leaves some nodes, or no solver reaches the accuracy.
         """
         nothing, cost = np.zeros((self.halo.n_own, self.n_rewards + 1)), np.eye(self.n_rewards)[0]
-        equations = _Equations(self, choice, nothing[:, 0])
-        return self._measured(equations, nothing, Work(), cost, nothing[:, 0])
+        return self._measured(_Equations(self, choice, nothing[:, 0]), nothing, cost)
 
-    def _measured(
-        self,
-        equations: _Equations,
-        guess: FloatArray,
-        work: Work,
-        weights: FloatArray,
-        values: FloatArray,
-    ) -> Column:
+    def _measured(self, equations: _Equations, guess: FloatArray, weights: FloatArray) -> Column:
         """Evaluate the policy whose equations are stated, as a column.
 
         Args:
-            equations: equations of the policy.
+            equations: equations of the policy, with its values at these weights.
             guess: approximate totals, [own nodes, rewards and steps].
-            work: the work that it took to find the policy.
             weights: of the rewards, not all 0, [rewards].
-            values: approximate sum of the totals by these weights, [own nodes].
         """
         choice, totals, figures = equations.choice, guess.copy(), self.at_once.copy()
         totals[:, -1] = equations.runs(guess[:, -1])
@@ -418,15 +400,14 @@ class PartitionedProcess(PricingProblem):
         for k in sorted(range(self.n_rewards), key=last.__eq__):
             right, about = np.ascontiguousarray(self.rewards[choice, k]), totals[:, k]
             if k == last:  # the others are known by now
-                about = about + (values - weighted(totals[:, :-1], weights)) / weights[k]
+                about = about + (equations.values - weighted(totals[:, :-1], weights)) / weights[k]
             about = np.where(equations.leading(right != 0.0), about, 0.0)  # these 0 are exact
             x, _ = equations.solve(right, about, _PLAIN)
             x, low = equations.solve(right, x, accuracy, precise=True)
             figures[k] += self.ranks.total(self.start @ x + self.start @ low)
             totals[:, k] = x
         equations.clear()
-        work += Work(1, equations.products)
-        return Column.of_figures(figures, choice, totals=totals, work=work)
+        return Column.of_figures(figures, choice, totals=totals, work=Work(1, equations.products))
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound of every column's priced value, by the values of a best policy."""
@@ -484,14 +465,19 @@ class PartitionedProcess(PricingProblem):
         part: Any = self.labelled.quotient.model
         return _OwnDecisions(part, self._positions(column), column.figures)
 
+    @property
+    def _live(self) -> BoolArray:
+        """Whether an own state of the model is a node, [own states]."""
+        part: Any = self.labelled.quotient.model
+        return np.asarray(self.labelled.quotient.node_of[: part.halo.n_own] >= 0)
+
     def _positions(self, column: Column) -> IntArray:
         """Return a column's decisions in the own states, as positions among actions or codes."""
-        quotient, choice = self.labelled.quotient, np.asarray(column.choice)
-        positions = np.full(self.n_states, UNDECIDED, dtype=np.int32)
+        quotient, choice, live = self.labelled.quotient, np.asarray(column.choice), self._live
+        positions = np.full(live.size, UNDECIDED, dtype=np.int32)
         stays = (choice == self._exits) & (self.stays >= 0)
         pair = quotient.pair_at[np.where(stays, self.stays, choice)]
-        live = quotient.node_of[: self.n_states] >= 0
-        first = quotient.model.pair_offsets[: self.n_states][live]
+        first = quotient.model.pair_offsets[: live.size][live]
         positions[live] = np.where(pair < 0, pair, pair - first)
         return positions
 
@@ -501,9 +487,8 @@ class PartitionedProcess(PricingProblem):
         Raises:
             ModelError: a state has no decision, or one that is not allowed.
         """
-        quotient = self.labelled.quotient
-        live = quotient.node_of[: self.n_states] >= 0
-        taken, first = positions[live], quotient.model.pair_offsets[: self.n_states][live]
+        quotient, live = self.labelled.quotient, self._live
+        taken, first = positions[live], quotient.model.pair_offsets[: live.size][live]
         choice = np.where(taken >= 0, quotient.places[np.maximum(taken, 0) + first], -1)
         choice = np.where(taken == GIVE_UP_CODE, self._exits, choice)
         if (choice < 0).any():
@@ -569,20 +554,9 @@ def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedP
 
 @dataclass(frozen=True, eq=False)
 class CompiledPartitioned(CompiledExplicit):
-    """Case M compiled on parts of a model."""
-
-    more: dict[str, Any] = field(kw_only=True, default_factory=dict)  # fields of the process
+    """Case M compiled on parts of a model, with its process in ``priced``."""
 
     is_whole = False  # other problems on the model need another process
-
-    def pricing(self) -> PartitionedProcess:  # type: ignore[override]
-        """Return the pricing problem, with a price for each row."""
-        return self._priced if self.priced is None else cast("PartitionedProcess", self.priced)
-
-    @cached_property
-    def _priced(self) -> PartitionedProcess:
-        """The process."""
-        return partitioned_process(self, **self.more)
 
     def counting_rare_success(self, budget: float | None) -> CompiledPartitioned:
         """Return the problem itself, as ranks count failure and not success."""
@@ -608,9 +582,8 @@ class CompiledPartitioned(CompiledExplicit):
 
     def failure_at_least(self, discount: float | None) -> float:
         """Return the least failure probability of all policies, to report it in an error."""
-        facts = replace(self.facts, discount=discount)
-        other = CompiledPartitioned(facts, self.semantics)
-        return other.least_failure().column.failure
+        stated = CompiledExplicit(replace(self.facts, discount=discount), self.semantics)
+        return compiled_on_ranks(stated).least_failure().column.failure
 
     def settled(self, *known: Column) -> CompiledPartitioned:
         """Return the problem, with the least failure as budget if the budget is not greater.
@@ -624,3 +597,14 @@ class CompiledPartitioned(CompiledExplicit):
     def refined(self, price: float) -> None:
         """Return None, as the process truncates nothing and cannot be refined."""
         return
+
+
+def compiled_on_ranks(stated: CompiledExplicit, **more: Any) -> CompiledPartitioned:
+    """Return a compiled problem on a part, with its process; all ranks must call this.
+
+    Args:
+        stated: the problem.
+        more: further fields of the process.
+    """
+    priced: Any = partitioned_process(stated, **more)
+    return CompiledPartitioned(**fields_of(stated, stated) | {"priced": priced})
