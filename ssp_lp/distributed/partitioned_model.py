@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,12 +16,12 @@ from zlib import crc32
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import RELATIVE_GAP, FloatArray, IntArray, ReadOnlyCopies, fields_of, read_only
+from ssp_lp.arrays import RELATIVE_GAP, FloatArray, IntArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.column import two_sided_gap
 from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.distributed.part import Part, balanced_bounds, made_part
 from ssp_lp.distributed.policy import PartitionedPolicy
-from ssp_lp.distributed.process import CompiledPartitioned, PartitionedProcess
+from ssp_lp.distributed.process import CompiledPartitioned, PartitionedProcess, compiled_on_ranks
 from ssp_lp.distributed.ranks import Ranks
 from ssp_lp.errors import ModelError, check_whole, wrong_argument
 from ssp_lp.formulation import Formulation
@@ -242,7 +244,8 @@ class PartitionedModel:
         def measured() -> Measured:
             """Evaluate each member as a column of the process."""
             compiled = self._compiled(problem)
-            columns = [compiled.pricing().evaluated(own) for own in policy.positions]
+            process: Any = compiled.pricing()
+            columns = [process.evaluated(own) for own in policy.positions]
             return Measured(**_figures(compiled, policy.weights, columns))
 
         return self.ranks.together(measured)
@@ -253,27 +256,16 @@ class PartitionedModel:
         Raises:
             ModelError: the ranks state different problems, or the problem needs the whole graph.
         """
-        part: Part = self.part
+        ranks, part = self.ranks, self.part
         while True:
-            problem, error = None, None
-            try:
-                problem = _checked_problem(criterion, part, asked)
-            except Exception as raised:
-                error = raised
-            wanted = set().union(*self.ranks.comm.allgather(part.wanted))
+            problem = ranks.caught(partial(_checked_problem, criterion, part, asked))
+            wanted = set().union(*ranks.comm.allgather(part.wanted))
             part.wanted.clear()
             if not wanted:
                 break
-            part = part.knowing(wanted)  # an unknown state may have caused the error
-
-        def made() -> Formulation:
-            """Return the problem, or raise its error."""
-            if problem is None:
-                raise error or ModelError("the problem cannot be built from these arguments")
-            return problem
-
-        stated = self.ranks.agreed(made)
-        self.ranks.alike("questions", _words(stated))
+            part = part.knowing(wanted)  # an unknown state may have caused an error
+        stated: Formulation = ranks.agreed(lambda: problem)
+        ranks.alike("questions", _words(stated))
         return stated
 
     def _compiled(self, problem: Formulation, **more: Any) -> CompiledPartitioned:
@@ -287,9 +279,8 @@ class PartitionedModel:
             return replace(row, direct=told(row.direct), **self.ranks.comm.bcast(own))
 
         plain = self.ranks.agreed(lambda: compiled_constrained(problem))
-        stated = fields_of(plain, plain)
-        stated["side"], stated["objective"] = tuple(map(told, plain.side)), told(plain.objective)
-        return CompiledPartitioned(**stated, more=more)
+        told_rows = {"side": tuple(map(told, plain.side)), "objective": told(plain.objective)}
+        return compiled_on_ranks(replace(plain, **told_rows), **more)
 
     def _solved(
         self, problem: Formulation, options: SolveOptions, checkpoint: str | Path | None
@@ -337,15 +328,14 @@ class _Checkpoint:
             ModelError: the checkpoint is not a folder, or its parent folder does not exist.
         """
         self._part, self._folder, self._question = part, Path(folder) if folder else None, question
-        self._earlier: list[Path] = part.halo.ranks.agreed(self._found)
 
-    def _found(self) -> list[Path]:
-        """Return the folders of complete policies."""
-        if self._folder is None:
-            return []
-        if not self._folder.parent.is_dir() or self._folder.is_file():
-            raise ModelError(f"checkpoint {self._folder} must be a folder in an existing folder")
-        return sorted(one.parent for one in self._folder.glob("*/policy.npz"))
+        def found(folder: Path) -> list[Path]:
+            """Return the folders of complete policies."""
+            if not folder.parent.is_dir() or folder.is_file():
+                raise ModelError(f"checkpoint {folder} must be a folder in an existing folder")
+            return sorted(one.parent for one in folder.glob("*/policy.npz"))
+
+        self._earlier = part.halo.ranks.agreed(lambda: found(Path(folder)) if folder else [])
 
     def begun(self, process: PartitionedProcess) -> DualGuess | None:
         """Evaluate the last policies of an earlier run, and return their price to start from.
@@ -398,21 +388,17 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
     if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
         raise ModelError("ranks support no horizon and no reach_fraction: state the budget, and "
                          "make the steps a part of the states")  # fmt: skip
-    try:
-        problem: Formulation = criterion(part, **asked)
-    except TypeError as error:
-        raise ModelError(f"the arguments do not fit {name}: {error}") from error
+    problem: Formulation = criterion(part, **asked)
     if problem.semantics.charge(problem.ratio) is not None:
         raise ModelError(f"{name} counts the total cost of a run: {_WHOLE}, or use MCMP on ranks")
     if problem.semantics.forbids_failing or problem.semantics.aim is Aim.LEAST_GOAL:
         raise ModelError(
             f"{name} needs the whole graph: {_WHOLE}, or use MCMP with a failure budget"
         )
-    try:
-        is_told = problem.unrolled is problem
-    except ModelError:
-        is_told = False
-    if not is_told:
+    unrolled: object = None
+    with suppress(ModelError):
+        unrolled = problem.unrolled
+    if unrolled is not problem:
         raise ModelError("a limit counts events after failing, which ranks do not support: use "
                          "visits(), which counts until then")  # fmt: skip
     return problem

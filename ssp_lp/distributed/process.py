@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,6 +23,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     exact_sum,
+    fields_of,
     weighted,
 )
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, pricing_weights
@@ -33,7 +34,7 @@ from ssp_lp.distributed.ranks import Halo, Ranks
 from ssp_lp.dynamic_programming.bellman import Moves, Work, best_pairs, chosen_rows
 from ssp_lp.dynamic_programming.chain_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.dual_bound import shortfall
-from ssp_lp.dynamic_programming.dynamics import SETTLED, Dynamics
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT
 from ssp_lp.dynamic_programming.evaluation import EVALUATED, RUN_ACCURACY
 from ssp_lp.errors import ModelError, SolverError
@@ -48,8 +49,9 @@ _RUNS = 12  # most runs, or corrections, each of the last one's residual
 _FINEST = 1e-8  # least relative residual of one run
 _LET_PASS = 1e-9  # relative residual that suffices if no method reaches less
 _GATHERED = 1_000_000  # most entries of a policy's rows that are gathered for a factorisation
-_DUST = 1e-14  # share of the greatest total below which a total may be a solver's error
-_SWEEPS, _EXCHANGED = 20, 4  # sweeps between two evaluations, and between two exchanges
+_PLAIN = 1e-13  # accuracy up to which residuals in working precision suffice
+_ROUGH = 1e-6  # accuracy of a policy's values while its pairs still change
+_SWEEPS, _EXCHANGED = 8, 4  # sweeps between two evaluations, and between two exchanges
 _MOST_ROUNDS = 1_000  # most rounds of policy iteration
 _SHRUNK = (0.0, *10.0 ** np.arange(-13.0, 0.0))  # shares by which values move to the floor
 _BELOW = 0.1  # share of that share by which all values are lowered
@@ -87,7 +89,8 @@ class _Equations:
             values: approximate values of the policy, [own nodes]; PETSc's unknowns are sorted by
                 them, nodes near the ends first.
         """
-        self.halo, self.choice, dynamics = process.halo, choice, process.dynamics
+        self.halo, self.choice, self.values = process.halo, choice, values
+        dynamics = process.dynamics
         self._order, own = np.argsort(values, kind="stable"), np.arange(self.halo.n_own)
         rows = chosen_rows(dynamics.transitions, choice)
         self.moves = Moves(own.astype(np.int32), rows, dynamics.exits[choice])
@@ -95,15 +98,20 @@ class _Equations:
 
     def leading(self, marked: BoolArray) -> BoolArray:
         """Return the own nodes from which the policy may reach marked nodes, [own nodes]."""
-        rows, n, size = self.moves.transitions, self.halo.n_own, self.halo.size
-        offsets, ends = np.append(np.arange(n + 1), np.full(size - n, n)), np.zeros(size, np.bool_)
-        ends[:n] = marked
-        graph = Graph(offsets, rows.indptr.astype(np.int64), rows.indices, rows.data)
-        return self.halo.reaching(graph, ends)[:n]
+        if not self.halo.ranks.any(~marked):
+            return marked
+        return self.halo.reaching(self._graph, marked)[: self.halo.n_own]
+
+    @cached_property
+    def _graph(self) -> Graph:
+        """The policy's graph on the known nodes; ghosts have no pairs."""
+        rows, n = self.moves.transitions, self.halo.n_own
+        offsets = np.append(np.arange(n + 1), np.full(self.halo.size - n, n))
+        return Graph(offsets, rows.indptr.astype(np.int64), rows.indices, rows.data)
 
     @cached_property
     def _solver(self) -> tuple[Any, ...]:
-        """PETSc's solver (BiCGStab with block ILU; LU if few rows), two vectors, the matrix."""
+        """PETSc's solver (BiCGStab, block ILU; LU if few rows), two vectors, the matrix."""
         halo, order, petsc = self.halo, self._order, self.halo.ranks.petsc
         place, rows = np.empty(halo.n_own), self.moves.transitions
         place[order] = np.arange(halo.n_own)
@@ -128,51 +136,54 @@ class _Equations:
         for one in vars(self).pop("_solver", ()):
             one.destroy()
 
-    def solve(self, right: FloatArray, guess: FloatArray, accuracy: float = EXACT) -> FloatArray:
-        """Solve the equations to a relative residual, with exact 0 where nothing is paid.
+    def solve(
+        self, right: FloatArray, guess: FloatArray, accuracy: float, *, precise: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Solve the equations by corrections of a guess, as sums of two numbers, [own nodes] each.
 
         Args:
             right: right side, [own nodes].
-            guess: first iterate, [own nodes].
+            guess: approximate solution, [own nodes].
             accuracy: greatest residual, relative to the solution, that suffices.
+            precise: whether to compute residuals in twice the working precision.
 
         Raises:
             SolverError: no method reaches the accuracy.
         """
-        ranks, x = self.halo.ranks, guess.copy()
+        ranks, filled, moves = self.halo.ranks, self.halo.filled, self.moves
+        x, low = guess, np.zeros_like(guess)
         if not ranks.any(right):
-            return np.zeros_like(right)
-        missed, residual, scale = self._missed(right, x)
+            return low, low
+        kept, missed, scale = (x, low, right), np.inf, 0.0
         ksp, left, step, _ = self._solver
         for _ in range(_RUNS):
-            if missed <= accuracy:
-                break
-            left.array = residual[self._order]
-            ksp.setTolerances(max(_FINEST, 0.1 * accuracy / missed), 0.0, max_it=_STEPS)
-            ksp.solve(left, step)
-            self.products += 2 * ksp.getIterationNumber()
-            better = x.copy()
-            better[self._order] += step.array
-            now, rest, size = self._missed(right, better)
+            if precise:
+                residual, rounding = moves.precise_advantages(right, filled(x), filled(low))
+            else:
+                residual, rounding = right - x + moves.transitions @ filled(x), low
+            sizes = [size.max(initial=0.0) for size in (np.abs(residual) + rounding, np.abs(x))]
+            now, most = ranks.greatest(sizes).tolist()
             if now < missed:
-                x, missed, residual, scale = better, now, rest, size
+                kept, missed, scale = (x, low, residual), now, most
+                if missed <= accuracy * scale:
+                    break
             elif ksp.getType() != "preonly" and self._entries <= _GATHERED:  # it is stuck
                 ksp.setType("preonly")
                 ksp.getPC().setType("redundant")
             else:
                 break
-        if not missed <= max(accuracy, _LET_PASS):
+            x, low, residual = kept
+            share = min(max(0.1 * accuracy * scale / missed, _FINEST), 0.1)
+            ksp.setTolerances(share, 0.0, max_it=_STEPS)
+            left.array = residual[self._order]
+            ksp.solve(left, step)
+            self.products += 2 * ksp.getIterationNumber()
+            better = np.empty_like(x)
+            better[self._order] = step.array
+            x, low = exact_sum(x, low + better) if precise else (x + better, low)
+        if not missed <= max(accuracy, 0.0 if precise else _LET_PASS) * scale:
             raise SolverError("PETSc cannot solve a policy's equations: try -ssp_lp_ksp_type gmres")
-        if ranks.any((x != 0.0) & (np.abs(x) <= _DUST * scale)):
-            x[~self.leading(right != 0.0)] = 0.0
-        return x
-
-    def _missed(self, right: FloatArray, x: FloatArray) -> tuple[float, FloatArray, float]:
-        """Return the residual relative to the greatest size, the residual, and that size."""
-        residual = right - x + self.moves.transitions @ self.halo.filled(x)
-        sizes = [np.abs(part).max(initial=0.0) for part in (residual, x, right)]
-        missed, *scale = self.halo.ranks.greatest(sizes).tolist()
-        return missed / max(*scale, 1e-300), residual, max(scale)
+        return kept[:2]
 
     def runs(self, guess: FloatArray) -> FloatArray:
         """Return run lengths; twice a run length bounds the expected steps from above, [own nodes].
@@ -182,35 +193,11 @@ class _Equations:
         """
         half = np.full(self.halo.n_own, -0.5)
         for accuracy in (RUN_ACCURACY, _FINEST, EXACT):
-            runs = self.solve(np.ones_like(half), guess, accuracy)
+            runs, _ = self.solve(np.ones_like(half), guess, accuracy)
             ahead = self.moves.safe_advantages(half, self.halo.filled(-runs))
             if not self.halo.ranks.any((ahead < 0.0) | (runs < 0.0)):
                 return runs
         raise SolverError(HOLDS_MASS)
-
-    def verified(
-        self, right: FloatArray, guess: FloatArray, longest: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Compute a reward's totals as sums of two numbers, to a bounded error, [own nodes] each.
-
-        Args:
-            right: the reward of each node's pair, [own nodes].
-            guess: approximate totals, [own nodes].
-            longest: the greatest run length of all ranks.
-
-        Raises:
-            SolverError: no solver reaches the accuracy.
-        """
-        filled, x = self.halo.filled, self.solve(right, guess)
-        low = np.zeros_like(x)
-        for _ in range(_RUNS):
-            off, rounding = self.moves.precise_advantages(right, filled(x), filled(low))
-            sizes = [one.max(initial=0.0) for one in (np.abs(off) + rounding, np.abs(x))]
-            missed, scale = self.halo.ranks.greatest(sizes).tolist()
-            if 2.0 * longest * missed <= EVALUATED * scale:
-                return x, low
-            x, low = exact_sum(x, low + self.solve(off, np.zeros_like(x)))
-        raise SolverError("runs are too long to evaluate a policy's totals accurately")
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,12 +230,6 @@ class PartitionedProcess(PricingProblem):
         return int(self.rewards.shape[1])
 
     @property
-    def n_states(self) -> int:
-        """Number of own states of the model."""
-        part: Any = self.labelled.quotient.model
-        return int(part.halo.n_own)
-
-    @property
     def value_shape(self) -> tuple[int, ...]:
         """Shape of a rank's values, [own nodes]."""
         return (self.halo.n_own,)
@@ -277,35 +258,56 @@ class PartitionedProcess(PricingProblem):
         weights, known = self._weights(price), (*warm, *self.earlier)
         evaluated = [one for one in known if one and one.totals is not None] or [self.first()]
         best = min(evaluated, key=lambda column: float(weights @ column.figures))
-        choice, totals = np.asarray(best.choice), np.array(best.totals)
+        choice, totals = np.asarray(best.choice), np.asarray(best.totals)
         cost, values = weighted(self.rewards, weights), weighted(totals[:, :-1], weights)
-        work = Work()
+        work, accuracy = Work(), _ROUGH
         for _ in range(_MOST_ROUNDS):
             choice = self._swept(cost, choice, values)
             equations = self._leaving_equations(choice, values)
-            choice = equations.choice
-            values = equations.solve(cost[choice], values)
-            backup = best_pairs(
-                self.dynamics.pair_offsets[: self.halo.n_own + 1], self.dynamics.transitions,
-                cost, self.halo.filled(values), choice,
-            )  # fmt: skip
-            better = backup.here - backup.minima > IMPROVEMENT * np.abs(backup.here)
+            values, _ = equations.solve(cost[equations.choice], values, accuracy)
+            equations.values = values
+            better = self._better(cost, values, equations.choice, accuracy)
             work += Work(1 + _SWEEPS, equations.products)
-            if not self.ranks.any(better):
+            if better is not None:
+                equations.clear()
+                choice = better
+                continue
+            # decisions that are free at these weights may count in a limit
+            settled = self._staying(self._giving_up(equations))
+            if self.ranks.any(settled != equations.choice):
+                equations.clear()
+                equations = self._leaving_equations(settled, values)
+            column = self._measured(equations, totals, weights)
+            work, totals = work + column.work, np.asarray(column.totals)
+            values = weighted(totals[:, :-1], weights)
+            better = self._better(cost, values, equations.choice, EXACT)
+            if better is None or accuracy <= EXACT:
                 break
-            equations.clear()
-            choice = np.where(better, backup.choice, choice).astype(np.int32)
-        if weights[0] > 0.0:
-            totals[:, 0] = (values - totals[:, 1:-1] @ weights[1:]) / weights[0]
-        # decisions that are free at these weights may count in a limit
-        choice = self._staying(self._giving_up(equations))
-        if self.ranks.any(choice != equations.choice):
-            equations.clear()
-            equations = self._leaving_equations(choice, values)
-        column = self._measured(equations, totals, work)
+            choice, accuracy = better, EXACT
         if self.kept is not None:
             self.kept(self._positions(column), weights)
-        return column
+        return replace(column, work=work)
+
+    def _better(
+        self, cost: FloatArray, values: FloatArray, choice: IntArray, accuracy: float
+    ) -> IntArray | None:
+        """Return a policy with better pairs by one backup of all nodes; None: there are none.
+
+        Args:
+            cost: [own pairs].
+            values: values of the policy, [own nodes].
+            choice: the policy, [own nodes].
+            accuracy: residual of the values, relative to the greatest.
+        """
+        offsets = self.dynamics.pair_offsets[: self.halo.n_own + 1]
+        known = self.halo.filled(values)
+        backup = best_pairs(offsets, self.dynamics.transitions, cost, known, choice)
+        noise = accuracy * self.ranks.greatest(np.abs(values).max(initial=0.0))
+        least = IMPROVEMENT * np.abs(backup.here) + (noise if accuracy > EXACT else 0.0)
+        better = backup.here - backup.minima > least
+        if not self.ranks.any(better):
+            return None
+        return np.where(better, backup.choice, choice).astype(np.int32)
 
     def _weights(self, price: float | FloatArray) -> FloatArray:
         """Return the weights of all rewards, from a price of failure or from weights."""
@@ -323,16 +325,12 @@ class PartitionedProcess(PricingProblem):
         n, entries = self.halo.n_own, len(self.dynamics.transitions.indices)
         if self.ranks.any(not accelerated(entries, "policy_improvement.improve_states")):
             return choice  # policy iteration alone converges as well
-        at_once, changed = _SWEEPS if self.ranks.comm.size == 1 else _EXCHANGED, [0.0]
         full, known = np.zeros(self.halo.size, dtype=np.int32), self.halo.filled(values)
         full[:n] = choice
-        for _ in range(_SWEEPS // at_once):
-            before, how = full.copy(), (cost, full, known, 0.0, at_once)
+        for _ in range(_SWEEPS // _EXCHANGED):
+            how = cost, full, known, 0.0, _EXCHANGED
             self.dynamics.improve_by_sweeps(*how, is_sorted_anew=True, states=np.arange(n))
             known = self.halo.filled(known)
-            changed.append(float(self.ranks.total(np.count_nonzero(full != before))))
-            if changed[-1] <= SETTLED * max(changed):
-                break
         values[:] = known[:n]
         return full[:n]
 
@@ -363,14 +361,9 @@ class PartitionedProcess(PricingProblem):
         quits = (choice == self._exits) & (self.stays >= 0)
         if not self.ranks.any(quits):
             return choice
-        rows = chosen_rows(self.dynamics.transitions, np.where(quits, self.stays, choice))
-
-        def sweep(mask: BoolArray) -> BoolArray:
-            """Keep the marks of nodes whose successors are all marked."""
-            return np.asarray(mask[: len(quits)] & (rows @ ~mask == 0.0))
-
-        kept = self.halo.settled(sweep, self.halo.filled(quits))[: len(quits)]
-        return np.where(quits & ~kept, self.stays, choice).astype(np.int32)
+        stays = np.where(quits, self.stays, choice)
+        onward = _Equations(self, stays, self.start).leading(~quits)
+        return np.where(quits & onward, stays, choice).astype(np.int32)
 
     @cached_property
     def _exits(self) -> IntArray:
@@ -386,27 +379,35 @@ class PartitionedProcess(PricingProblem):
         Raises:
             SolverError: the policy never leaves some nodes, or no solver reaches the accuracy.
         """
-        nothing = np.zeros((self.halo.n_own, self.n_rewards + 1))
-        return self._measured(_Equations(self, choice, nothing[:, 0]), nothing, Work())
+        nothing, cost = np.zeros((self.halo.n_own, self.n_rewards + 1)), np.eye(self.n_rewards)[0]
+        return self._measured(_Equations(self, choice, nothing[:, 0]), nothing, cost)
 
-    def _measured(self, equations: _Equations, guess: FloatArray, work: Work) -> Column:
+    def _measured(self, equations: _Equations, guess: FloatArray, weights: FloatArray) -> Column:
         """Evaluate the policy whose equations are stated, as a column.
 
         Args:
-            equations: equations of the policy.
+            equations: equations of the policy, with its values at these weights.
             guess: approximate totals, [own nodes, rewards and steps].
-            work: the work that it took to find the policy.
+            weights: of the rewards, not all 0, [rewards].
         """
-        choice, totals, figures = equations.choice, np.empty_like(guess), self.at_once.copy()
+        choice, totals, figures = equations.choice, guess.copy(), self.at_once.copy()
         totals[:, -1] = equations.runs(guess[:, -1])
         longest = float(self.ranks.greatest(totals[:, -1].max(initial=0.0)))
-        for k, right in enumerate(self.rewards[choice].T):
-            x, low = equations.verified(np.ascontiguousarray(right), guess[:, k], longest)
+        accuracy, last = (
+            min(EXACT, EVALUATED / max(2.0 * longest, 1.0)),
+            int(np.argmax(weights > 0.0)),
+        )
+        for k in sorted(range(self.n_rewards), key=last.__eq__):
+            right, about = np.ascontiguousarray(self.rewards[choice, k]), totals[:, k]
+            if k == last:  # the others are known by now
+                about = about + (equations.values - weighted(totals[:, :-1], weights)) / weights[k]
+            about = np.where(equations.leading(right != 0.0), about, 0.0)  # these 0 are exact
+            x, _ = equations.solve(right, about, _PLAIN)
+            x, low = equations.solve(right, x, accuracy, precise=True)
             figures[k] += self.ranks.total(self.start @ x + self.start @ low)
             totals[:, k] = x
         equations.clear()
-        work += Work(1, equations.products)
-        return Column.of_figures(figures, choice, totals=totals, work=work)
+        return Column.of_figures(figures, choice, totals=totals, work=Work(1, equations.products))
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound of every column's priced value, by the values of a best policy."""
@@ -464,14 +465,19 @@ class PartitionedProcess(PricingProblem):
         part: Any = self.labelled.quotient.model
         return _OwnDecisions(part, self._positions(column), column.figures)
 
+    @property
+    def _live(self) -> BoolArray:
+        """Whether an own state of the model is a node, [own states]."""
+        part: Any = self.labelled.quotient.model
+        return np.asarray(self.labelled.quotient.node_of[: part.halo.n_own] >= 0)
+
     def _positions(self, column: Column) -> IntArray:
         """Return a column's decisions in the own states, as positions among actions or codes."""
-        quotient, choice = self.labelled.quotient, np.asarray(column.choice)
-        positions = np.full(self.n_states, UNDECIDED, dtype=np.int32)
+        quotient, choice, live = self.labelled.quotient, np.asarray(column.choice), self._live
+        positions = np.full(live.size, UNDECIDED, dtype=np.int32)
         stays = (choice == self._exits) & (self.stays >= 0)
         pair = quotient.pair_at[np.where(stays, self.stays, choice)]
-        live = quotient.node_of[: self.n_states] >= 0
-        first = quotient.model.pair_offsets[: self.n_states][live]
+        first = quotient.model.pair_offsets[: live.size][live]
         positions[live] = np.where(pair < 0, pair, pair - first)
         return positions
 
@@ -481,9 +487,8 @@ class PartitionedProcess(PricingProblem):
         Raises:
             ModelError: a state has no decision, or one that is not allowed.
         """
-        quotient = self.labelled.quotient
-        live = quotient.node_of[: self.n_states] >= 0
-        taken, first = positions[live], quotient.model.pair_offsets[: self.n_states][live]
+        quotient, live = self.labelled.quotient, self._live
+        taken, first = positions[live], quotient.model.pair_offsets[: live.size][live]
         choice = np.where(taken >= 0, quotient.places[np.maximum(taken, 0) + first], -1)
         choice = np.where(taken == GIVE_UP_CODE, self._exits, choice)
         if (choice < 0).any():
@@ -549,20 +554,9 @@ def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedP
 
 @dataclass(frozen=True, eq=False)
 class CompiledPartitioned(CompiledExplicit):
-    """Case M compiled on parts of a model."""
-
-    more: dict[str, Any] = field(kw_only=True, default_factory=dict)  # fields of the process
+    """Case M compiled on parts of a model, with its process in ``priced``."""
 
     is_whole = False  # other problems on the model need another process
-
-    def pricing(self) -> PartitionedProcess:  # type: ignore[override]
-        """Return the pricing problem, with a price for each row."""
-        return self._priced if self.priced is None else cast("PartitionedProcess", self.priced)
-
-    @cached_property
-    def _priced(self) -> PartitionedProcess:
-        """The process."""
-        return partitioned_process(self, **self.more)
 
     def counting_rare_success(self, budget: float | None) -> CompiledPartitioned:
         """Return the problem itself, since ranks count failure and not success."""
@@ -588,9 +582,8 @@ class CompiledPartitioned(CompiledExplicit):
 
     def failure_at_least(self, discount: float | None) -> float:
         """Return the least failure probability of all policies, to report it in an error."""
-        facts = replace(self.facts, discount=discount)
-        other = CompiledPartitioned(facts, self.semantics)
-        return other.least_failure().column.failure
+        stated = CompiledExplicit(replace(self.facts, discount=discount), self.semantics)
+        return compiled_on_ranks(stated).least_failure().column.failure
 
     def settled(self, *known: Column) -> CompiledPartitioned:
         """Return the problem, with the least failure as budget if the budget is not greater.
@@ -604,3 +597,14 @@ class CompiledPartitioned(CompiledExplicit):
     def refined(self, price: float) -> None:
         """Return None, since the process truncates nothing and cannot be refined."""
         return
+
+
+def compiled_on_ranks(stated: CompiledExplicit, **more: Any) -> CompiledPartitioned:
+    """Return a compiled problem on a part, with its process; all ranks must call this.
+
+    Args:
+        stated: the problem.
+        more: further fields of the process.
+    """
+    priced: Any = partitioned_process(stated, **more)
+    return CompiledPartitioned(**fields_of(stated, stated) | {"priced": priced})

@@ -47,6 +47,15 @@ class Ranks:
         """
         raise ModelError("objects of several ranks cannot be pickled: use answer.policy.save()")
 
+    def caught(self, make: Callable[[], Any]) -> Any:
+        """Return a function's result on this rank, or its error as an error of the library."""
+        try:
+            return make()
+        except SSPError as error:
+            return error
+        except Exception as error:
+            return ModelError(f"rank {self.comm.rank} failed: {type(error).__name__}: {error}")
+
     def agreed(self, make: Callable[[], _Made]) -> _Made:
         """Run a function on every rank; if it fails on one, all ranks raise an error.
 
@@ -54,12 +63,7 @@ class Ranks:
             SSPError: the rank's own error, or the error of the first rank that failed; other
                 exceptions become a ModelError with their text.
         """
-        made: Any = None
-        try:
-            made = make()
-        except Exception as raised:
-            words = f"rank {self.comm.rank} failed: {type(raised).__name__}: {raised}"
-            made = raised if isinstance(raised, SSPError) else ModelError(words)
+        made = self.caught(make)
         failed = isinstance(made, SSPError)
         for packed in self.comm.allgather(Cargo().pack(made) if failed else None):
             if packed is not None:
@@ -158,15 +162,16 @@ class Halo:
         return np.append(np.arange(self.first, self.end), self.ghosts)
 
     def settled(self, sweep: Callable[[BoolArray], BoolArray], mask: BoolArray) -> BoolArray:
-        """Repeat sweeps of each rank's own rows until nothing changes on any rank.
+        """Repeat sweeps of each rank's own rows until no ghost changes on any rank.
 
         Args:
-            sweep: maps a mask to a mask by the rank's own rows, [known states].
+            sweep: maps a mask to a mask by the rank's own rows, complete for these ghosts, [known
+                states].
             mask: the first mask, [known states].
         """
         while True:
             found = self.filled(sweep(mask))
-            if not self.ranks.any(found != mask):
+            if not self.ranks.any(found[self.n_own :] != mask[self.n_own :]):
                 return found
             mask = found
 
