@@ -282,7 +282,7 @@ LINES = {
     "ssp_lp": 2_219,
     "ssp_lp/accumulated_cost": 2_777,
     "ssp_lp/analysis": 1_635,
-    "ssp_lp/column_generation": 2_267,
+    "ssp_lp/column_generation": 2_269,
     "ssp_lp/compiled": 1_798,
     "ssp_lp/distributed": 976,
     "ssp_lp/dynamic_programming": 1_931,
