@@ -64,7 +64,7 @@ values of the same shape, which ask for the best bound: one more sweep."""
 _MOST_CELLS = 8_000_000
 """Most nodes times layers ahead, four numbers each, of a compiled pass."""
 
-_MOST_ENTRIES = 30_000
+_MOST_ENTRIES = 100_000
 """Entries of a layer without free steps from which one call for each layer costs little."""
 
 _FEW_CELLS = 1_000_000
