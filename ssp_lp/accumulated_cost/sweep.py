@@ -56,22 +56,21 @@ _ONE, _NONE, _NO_LIMITS = np.ones(1), np.zeros(0), np.zeros((0, 0))
 _BELOW_EVERY_VALUE = 1e-6
 """The floor is minus the price, less this relative margin for rounding."""
 
-KEPT_VALUES = 25_000_000
-"""Most checked values that are kept, nodes x layers: 0.2 GB. Larger tables are replaced by infinite
+KEPT_VALUES = 4_000_000
+"""Most checked values that are kept, nodes x layers: 32 MB. Larger tables are replaced by infinite
 values of the same shape, which ask for the best bound: one more sweep."""
 
 
 _MOST_CELLS = 8_000_000
 """Most nodes times layers ahead, four numbers each, of a compiled pass."""
 
-_MOST_ENTRIES = 30_000
+_MOST_ENTRIES = 100_000
 """Entries of a layer without free steps from which one call for each layer costs little."""
 
 _FEW_CELLS = 1_000_000
 """Most entries of all layers without free steps for one pass by numpy."""
 
 _LEAST_BLOCK = 16  # layers of a block for a pass by blocks
-_BLOCKS_FASTER = 8  # entries of a pass by blocks in the time of one
 
 _MOST_WITHIN = 20.0
 """Most expected steps within a layer, of any policy, for turns instead of equations."""
@@ -392,7 +391,7 @@ class Sweep:
         ahead = [values, np.zeros((len(values), 0, counts)) if measures is None else measures]
         position = np.zeros((0, 0), dtype=np.int8) if choice is None else choice
         rooms = list[FloatArray]()
-        entries = cap * len(whole.classes) // (_BLOCKS_FASTER if by_blocks else 1)
+        entries = cap * len(whole.classes) // (_LEAST_BLOCK if by_blocks else 1)
         for turn in pieces(cap, int(entries * within.max(initial=1.0))):
             some = slice(cap - turn.stop, cap - turn.start)
             many = some.stop - some.start
@@ -403,8 +402,11 @@ class Sweep:
             )
             if not rooms:  # all blocks share this memory; their sizes differ by one layer
                 size = many + 1 + max(span, len(values))
-                make, order = np.empty if whole.turns == 1 else np.zeros, "F" if by_blocks else "C"
-                rooms = [make((size, *a.shape[1:]), order=order) for a in ahead]
+                shapes = [(size, *a.shape[1:]) for a in ahead]
+                if by_blocks:
+                    rooms = [np.empty(shape, order="F") for shape in shapes]
+                else:
+                    rooms = [(np.empty if whole.turns == 1 else np.zeros)(s) for s in shapes]
             parts = [room[: many + len(a)] for room, a in zip(rooms, ahead, strict=True)]
             for part, later in zip(parts, ahead, strict=True):
                 part[many:] = later
@@ -412,8 +414,8 @@ class Sweep:
             if limits is not None and not (by_blocks and bool(np.isposinf(limits[some]).all())):
                 given = _at_least(limits[some], priced.floor)
             if by_blocks:
-                own = rooms[0].T, rooms[1].T, position[some], keeps, limits is not None
-                sweep_blocks(layers, block, *task, *own, given)
+                numbers, how = (room.T for room in rooms), (keeps, limits is not None, given)
+                sweep_blocks(layers, block, *task, *numbers, position[some], *how)
             else:
                 own = parts[0].ravel(), parts[1].reshape(-1, counts), position[some], keeps
                 run(layers, *task, *own, within, given)
@@ -509,14 +511,10 @@ class Sweep:
 
     @cached_property
     def block(self) -> int:
-        """Layers from which no step leads to another one of them; 1: not known."""
-        return self._least_lead if self.process.totals.ahead is None else 1
-
-    @cached_property
-    def _least_lead(self) -> int:
-        """Least number of layers that a step passes."""
+        """Least number of layers that a step passes; 1: not known."""
         classes = self.process.base.steps_by_class[1]
-        return int(classes.min()) if classes.size else 1
+        is_even = classes.size > 0 and self.process.totals.ahead is None
+        return int(classes.min()) if is_even else 1
 
     @property
     def by_blocks(self) -> bool:

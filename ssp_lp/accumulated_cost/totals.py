@@ -187,9 +187,8 @@ MOST_SUMS = 20_000
 
 _PRODUCTS = 4  # sums formed at once, as a multiple of those that may be kept
 _MOST_PLACES = 300_000  # most pairs of state and sum that walks reach
-_MOST_FOLLOWED = 3_000_000  # most steps of these walks
+_MOST_FOLLOWED = 3_000_000  # most steps of these walks, and most sums times kinds of steps
 _MOST_MARKS = 30_000_000  # most sums times states, reached or not
-_MOST_LEADS = 6_000_000  # most sums times kinds of steps, taken or not
 _UNKNOWN, _BEYOND = -2, -1  # codes instead of the number of a total
 _MOST_ROUNDS = 1_000
 
@@ -297,7 +296,7 @@ def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> Floa
         first[name[fresh]] = np.arange(len(sums), len(sums) + len(fresh))
         leads[new] = first[name[len(sums) :]]
         sums = np.append(sums, every[fresh])
-        if len(sums) > min(most, _MOST_MARKS // max(n, 1), _MOST_LEADS // kinds):
+        if len(sums) > min(most, _MOST_MARKS // max(n, 1), _MOST_FOLLOWED // kinds):
             return None
         leads = np.append(leads, np.full(len(fresh) * kinds, _UNKNOWN))
         before = np.append(seen, np.zeros(len(fresh) * n, dtype=np.bool_))

@@ -39,7 +39,7 @@ from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming import bellman
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import dead_ends, goal_approach
+from ssp_lp.model.graph import attention_states, dead_ends, goal_approach
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 from ssp_lp.processes.explicit_process import ExplicitProcess
 from ssp_lp.processes.live_rows import uniform_cost
@@ -186,7 +186,10 @@ class LayeredPricing(PricingProblem):
         """Return a column of least ``E[charge; goal] + price * failure``."""
         failure_price = float(pricing_weights(price)[1])
         base, tails, choice = self.process.base, self.process.tails, self.sweep.room_for_choice()
-        if self._proves_as_it_goes(failure_price):
+        most = (
+            0.0 if base.start_goal or base.start_failure else float(self.process.totals.values[-1])
+        )
+        if self.sweep.by_blocks and self.is_shifted and failure_price * base.survival <= most:
             return self._minimise_and_prove(failure_price, choice)
         goal = tails.guess[1] if tails.guess else float(base.start @ tails.first.goal)
         # if success is improbable, use the form cost - price * goal
@@ -205,19 +208,11 @@ class LayeredPricing(PricingProblem):
         begun[:, 1] -= self._paid * begun[:, 3]
         return replace(column, by_layer=begun)
 
-    def _proves_as_it_goes(self, price: float) -> bool:
-        """Return whether one sweep gives both a nearly optimal choice and its dual bounds.
-
-        Wherever the goal can be avoided, failing is optimal beyond the cap, so that the bound there
-        is exact.
-        """
-        base, totals = self.process.base, self.process.totals.values
-        ends = base.start_goal or base.start_failure
-        is_short = price > float(totals[self.process.cap]) / base.survival
-        return not (ends or is_short) and self.is_shifted and self.sweep.by_blocks
-
     def _minimise_and_prove(self, price: float, choice: IntArray) -> Column:
-        """Return a column of least priced cost that carries the dual bounds of its sweep.
+        """Return a nearly optimal column that carries the dual bounds of its sweep.
+
+        Wherever the goal can be avoided, failing is optimal beyond the cap at this price, so that
+        the bound there is exact.
 
         Args:
             price: of failure.
@@ -230,18 +225,16 @@ class LayeredPricing(PricingProblem):
         column = replace(self.measure(choice, price), by_layer=by_layer, totals=values)
         return replace(column, work=bellman.Work(2 * self.process.cap, self.process.cap))
 
-    def _proved_by(self, column: Column | None, price: float, *, slack: bool) -> Proof | None:
-        """Return the dual bound at a price that the sweep of a column has found, or None."""
-        swept = column if column is None else column.swept or column
-        if swept is None or swept.totals is None or swept.by_layer is None:
-            return None
+    def _proved_by(self, swept: Column, price: float, *, slack: bool) -> Proof | None:
+        """Return the dual bound at a price that a sweep has found, or None."""
         layer = int(np.abs(swept.tail_price - self._paid - price).argmin())
         at = swept.tail_price - float(self._paid[layer])
         if abs(at - price) > ROUNDED * price:
             return None
         values = np.full(self.value_shape, np.inf)
-        values[: self.process.cap - layer] = swept.totals[layer:] + (0.0 if slack else at)
-        return Proof(at, 0.0, float(swept.by_layer[layer, 0]), values)
+        found, bound = required(swept.totals), float(required(swept.by_layer)[layer, 0])
+        values[: self.process.cap - layer] = found[layer:] + (0.0 if slack else at)
+        return Proof(at, 0.0, bound, values)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
         """Return the column of a choice, with its exact E[cost; goal] and failure.
@@ -269,7 +262,9 @@ class LayeredPricing(PricingProblem):
     ) -> Proof:
         """Prove the best dual bound of one sweep."""
         price = float(pricing_weights(price)[1])
-        proved = self._proved_by(best, price, slack=slack)
+        swept, proved = None if best is None else best.swept or best, None
+        if swept is not None and swept.totals is not None and swept.by_layer is not None:
+            proved = self._proved_by(swept, price, slack=slack)
         return proved or self._proof(price, 0.0 if slack else price, self.anything)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
@@ -538,8 +533,13 @@ class CompiledLayered(CompiledProblem):
             lossless = self.lossless_units(price)
             most = (2.0 if exact and self.charge.is_the_total else MOST_GROWTH) * here
             is_near = (self.is_trial or here < lossless) and lossless <= most
-            wanted = lossless if is_near else wanted if exact else here
-            tails = self.tails if is_near and self.is_trial else tails
+            is_lossy = bool(self.facts.start[~attention_states(self.facts.model)].any())
+            if is_near and self.is_trial and is_lossy:  # as in ``capped_at``
+                wanted = 2.0 * lossless
+            elif is_near:
+                wanted, tails = lossless, self.tails if self.is_trial else tails
+            elif not exact:
+                wanted = here
         if layer.by_sums:
             fits = layer.totals(wanted) is not None
         else:

@@ -527,10 +527,11 @@ class _TailMeanSearch:
     calls: int = 0
     sweeps: int = 0
 
-    def attempt(self, threshold: int) -> Answer:
+    def attempt(self, threshold: int, options: SolveOptions | None = None) -> Answer:
         """Minimise the risk at a threshold; return the better of incumbent and new policy."""
         charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
-        trial = self.question.attempt(charge, self.options, self._kappa(threshold))
+        kappa = self._kappa(threshold)
+        trial = self.question.attempt(charge, options or self.options, kappa)
         self.tried[threshold], self.kappas[threshold] = trial, trial.kappa
         self.calls += trial.calls
         law = success_costs(trial.policy, self.problem)
@@ -573,12 +574,20 @@ class _TailMeanSearch:
         Args:
             near: a guess of the best threshold, or None.
         """
-        places, best = self.question.thresholds, self.attempt(0)
+        places, options = self.question.thresholds, self.options
+        rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
+        best = self.attempt(0, rough if self.level > 0.0 else options)
+        if self.level > 0.0 and self.tried[0].lower_bound < self.target and not is_late():
+            with WithIncumbent():
+                best = self.attempt(0)
         whole = self.tried[0].lower_bound
         if self.level == 0.0:
             return best, max(whole, 0.0)  # the mean: the least threshold is optimal
         if near is not None:
             self.kappas.setdefault(places.number(near[0]), near[1])
+        elif self.quantile > 0 and self.tried[0].value > 0.0:  # in proportion to the value
+            dearest = self.kappas[0] / self.tried[0].value
+            self.kappas[self.quantile] = dearest * best.value
         with WithIncumbent():
             while self.quantile not in self.tried and not is_late():
                 best = self.attempt(self.quantile)

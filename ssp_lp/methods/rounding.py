@@ -69,7 +69,6 @@ _ROUGH = 1e-4  # tolerance of the first model of split costs
 _ROUGH_FIRST = 1e-3  # tolerance of a model for its price alone, whose steps are far below a unit
 _ENOUGH = 0.3  # least tolerance of split costs, relative to the solve's tolerance
 _SHARE = 0.1  # tolerance of the next model, relative to the current gap
-_ROUGH_COARSE = 1e-5  # tolerance of a coarser lattice, solved for its price
 _SPREAD = 1e-2  # relative uncertainty of a price from a coarser unit
 _HALFWAY = 1e-6  # distance from the middle of two levels, in levels, that rounding decides
 _STRETCH = 1e-7  # relative stretching of levels, so that no cost is halfway
@@ -193,16 +192,23 @@ def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
 def _lattice_attempts(
     problem: Problem, options: SolveOptions, unit: Fraction, is_of_most: bool
 ) -> Iterator[Solution]:
-    """Yield the best lottery of costs split on a coarser unit, then the optimum."""
-    closely = replace(options, tolerance=max(_ROUGH_COARSE, options.tolerance))
-    outcome = split_optimum(problem, unit, options if is_of_most else closely, None)
-    lottery: Answer | None = None
+    """Yield the best lottery of costs split on a coarser unit, then the optimum.
+
+    The lottery of another unit than that of most costs is evaluated only if the time ends.
+    """
+    rough = options if is_of_most else replace(options, tolerance=_ROUGH_FIRST)
+    outcome, optimum = split_optimum(problem, unit, rough, None), None
+    first, later = _split_run(options, outcome), options.after(outcome.calls)
+    with WithIncumbent() as search:
+        if not is_of_most:
+            optimum = best_within_budget(problem, later, outcome.guess(_SPREAD))
     with WithIncumbent(), closing():
-        lottery = _true_lottery(problem, outcome)
-    if lottery is not None:
-        yield _split_solution(problem, options, outcome, lottery, "")
-    optimum = best_within_budget(problem, options.after(outcome.calls), outcome.guess(_SPREAD))
-    first, run = _split_run(options, outcome), optimum.run
+        if optimum is None:
+            yield _split_solution(problem, options, outcome, _true_lottery(problem, outcome), "")
+    if search.stop:
+        raise search.stop
+    optimum = optimum or best_within_budget(problem, later, outcome.guess(_SPREAD))
+    run = optimum.run
     reason, calls = f"{first.reason}, then {run.reason}", outcome.calls + run.pricing_calls
     run = replace(run, reason=reason, pricing_calls=calls, work=outcome.work + run.work)
     yield replace(optimum, run=run)
@@ -363,7 +369,7 @@ _MARGIN = 1.05  # cap, as a multiple of the price from a coarser unit
 _TRIES = 6  # most units tried to satisfy the number of levels
 _OUTCOMES = 1_000  # least outcomes of a model for a coarser unit
 _MANY = 200.0  # least totals of a lattice for a coarser unit
-_FEWER = 4.0  # least ratio of a coarser unit to the unit
+_FEWER = 4.0  # least ratio of the unit of most costs to the unit; its square for another unit
 _MOSTLY = 0.95  # share of the outcomes whose costs define the unit of most costs
 
 
@@ -403,8 +409,8 @@ def coarser_unit(problem: Problem) -> tuple[Fraction, bool] | None:
     if likely < _MANY * unit:
         return None
     fine = short_decimal(min(_TYPICAL * likely / _FIRST, least / _ROOM_FOR_DIGITS))
-    for coarse in (of_most, fine):
-        if _FEWER * unit <= coarse <= least * (1.0 + SAME_TOTAL):
+    for coarse, least_ratio in ((of_most, _FEWER), (fine, _FEWER**2)):
+        if least_ratio * unit <= coarse <= least * (1.0 + SAME_TOTAL):
             return coarse, coarse is of_most
     return None
 

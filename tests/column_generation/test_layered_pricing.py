@@ -21,11 +21,14 @@ from ssp_lp import (
     solve,
     visits,
 )
-from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep
+from ssp_lp.accumulated_cost import sweep
+from ssp_lp.accumulated_cost.charges import TOTAL_COST
+from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep, at_price
 from ssp_lp.accumulated_cost.written_out import OpenEnded
-from ssp_lp.arrays import weighted
+from ssp_lp.arrays import read_only, weighted
 from ssp_lp.column_generation import compiled_problem
 from ssp_lp.column_generation.column import FailureRow, required
+from ssp_lp.column_generation.compiled_layers import LayeredPricing
 from ssp_lp.column_generation.explicit_pricing import values_less_paid
 from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
 from ssp_lp.column_generation.search import _initial_column_within
@@ -346,3 +349,58 @@ def test_policies_are_taken_on_to_a_higher_cap(monkeypatch):
         assert found.gap <= 1e-9
         assert found.value == pytest.approx(solve(problem).objective, rel=1e-9)
         assert found.value == pytest.approx(evaluate(found.policy, problem).objective, rel=1e-12)
+
+
+def fine_costs(seed):
+    """A windy field with costs of two digits: no step passes fewer than 50 layers."""
+    field = windy_field(4, diagonal=1.0)
+    costs = np.round(np.random.default_rng(seed).uniform(0.5, 2.0, field.model.n_outcomes), 2)
+    return S3P(replace(field.model, costs=read_only(costs), exact_costs={}), field.start, 0.3)
+
+
+@pytest.mark.parametrize("price", [3.0, 8.0])
+def test_blocks_of_layers_are_as_layer_by_layer(accelerate, monkeypatch, price):
+    """Values, choices, measures and dual bounds, to the last digit."""
+    accelerate(True)
+    process = fine_costs(1).compile().charging(TOTAL_COST, 600).process
+    limits = np.random.default_rng(2).uniform(-5.0, 0.0, (process.cap, process.base.n_nodes))
+    numbers = list[list[np.ndarray]]()
+    for least in (16, process.cap):
+        monkeypatch.setattr(sweep, "_LEAST_BLOCK", least)
+        pricing = LayeredPricing(process)
+        assert pricing.sweep.by_blocks is (least == 16)
+        choice, begun = pricing.sweep.room_for_choice(), np.zeros((process.cap, 4))
+        task = at_price(pricing.sweep, price, 0.0)
+        measures = pricing.sweep.minimise(task, choice, begun)
+        proof, lowered = pricing.prove(price, slack=True), pricing.check(price, limits, slack=True)
+        proved = proof.by_layer, proof.values, lowered.by_layer, lowered.values
+        numbers.append([measures, choice, begun, *proved])
+        again = pricing.sweep.measure(choice, process.measures_beyond(price))
+        followed = pricing.sweep.follow(choice, process.measures_beyond(price))
+        np.testing.assert_allclose(again, measures, rtol=1e-13)
+        np.testing.assert_allclose(followed, measures, rtol=1e-13)
+    for blocks, layers in zip(*numbers, strict=True):
+        np.testing.assert_array_equal(blocks, layers)
+
+
+@pytest.mark.parametrize("discount", [None, 0.98])
+def test_one_sweep_proves_what_it_finds(accelerate, monkeypatch, discount):
+    """The column, and its dual bounds at all lower prices, are those of sweeps of their own."""
+    accelerate(True)
+    process = replace(fine_costs(3), discount=discount).compile().charging(TOTAL_COST, 900).process
+    pricing = LayeredPricing(process)
+    price = float(process.totals.values[process.cap - 1])
+    column, row = pricing.minimise(price), FailureRow(0.3, ratio=True)
+    assert column.totals is not None
+    beside = pricing.beside(column, row)
+    assert len(beside) == 2
+    monkeypatch.setattr(sweep, "_LEAST_BLOCK", process.cap)
+    alone = LayeredPricing(process)
+    assert alone.minimise(price).cost == pytest.approx(column.cost, rel=1e-9)
+    found = beside[0].found_at
+    assert found is not None
+    for slack in (False, True):
+        proof = pricing.prove(found, beside[0], slack=slack)
+        own = alone.prove(found, slack=slack)
+        assert row.lower_bound(proof) == pytest.approx(row.lower_bound(own), rel=1e-12)
+        assert alone.check(found, proof.values, slack=slack).bound == pytest.approx(own.bound)

@@ -419,6 +419,7 @@ def test_many_totals_begin_at_the_price_of_fewer(discount, monkeypatch):
     """Costs of two digits: the answer is that of the search on all totals."""
     monkeypatch.setattr(rounding, "_MANY", 20.0)
     monkeypatch.setattr(rounding, "_OUTCOMES", 0)
+    monkeypatch.setattr(rounding, "_FEWER", 2.0)
     model = corridor([1.13, 1.27, 0.71], 2.04)
     problem = S3P(model, "r0", 0.3, discount=discount)
     unit, is_of_most = coarser(problem)
