@@ -34,20 +34,29 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.process import LayeredProcess
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, weighted
+from ssp_lp.arrays import (
+    IMPROVEMENT,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    first_minimisers,
+    segment_minima,
+    weighted,
+)
 from ssp_lp.column_generation.column import Column, FailureRow, Proof, relative_gap, required
 from ssp_lp.column_generation.compiled_layers import CompiledLayered
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit, CompiledProblem
 from ssp_lp.column_generation.explicit_pricing import LOST
 from ssp_lp.compiled.deadline import WithIncumbent, is_late
-from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
+from ssp_lp.dynamic_programming.dual_bound import DualBound, shortfall
+from ssp_lp.dynamic_programming.policy_iteration import MOST_ROUNDS, iterate_policy
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.model.graph import reached_along
 from ssp_lp.policies.policy import as_lottery
@@ -68,9 +77,9 @@ _TOO_DEAR = 1e100  # cost of an excluded pair
 _MOST_PRICES = 60  # most prices of a node, which takes a handful
 _LEAST_PRICE = 1e-12  # lowest price, relative to the lottery's: above 0, so that no cycle is free
 _STEP = 4.0  # factor between prices until policies lie on both sides of the budget
-_MORE = 1e-6  # least relative step
-_LITTLE = 1e-3  # price, relative to the lottery's, below which the lowest follows
 _SETTLED = 1e-12  # relative improvement of a priced cost that is rounding
+_MOST_VISITS = 4_000_000  # most pairs times states of a process whose inverse is kept
+_FAR = 0.5  # share of the states that differ from which on a new inverse is computed
 
 
 def best_deterministic(mixed: Solution, outcome: Optimum[Any], tolerance: float) -> Solution:
@@ -293,17 +302,37 @@ class _Tree:
     def _priced(self, rewards: FloatArray, price: float, choice: IntArray) -> Column:
         """Return the column of least priced cost."""
         weights = np.array([1.0, price, 0.0])
-        settled = iterate_policy(self.process.dynamics, rewards, weights, choice, precise=False)
-        cost, failure, goal = (self.process.start @ settled.totals).tolist()
-        return Column(cost, failure, goal, settled.choice, price, totals=settled.totals)
+        found = self._neighbours.improved(rewards, weights, choice) if self._is_small else None
+        if found is None:
+            dynamics = self.process.dynamics
+            settled = iterate_policy(dynamics, rewards, weights, choice, precise=False)
+            found = settled.choice, settled.totals
+        cost, failure, goal = (self.process.start @ found[1]).tolist()
+        return Column(cost, failure, goal, found[0], price, totals=found[1])
+
+    @cached_property
+    def _is_small(self) -> bool:
+        """Whether visits from all pairs fit into a small table, and every state has a pair."""
+        process = self.process
+        has_pairs = bool((np.diff(process.pair_offsets) > 0).all())
+        return 0 < process.n_pairs * process.n_states <= _MOST_VISITS and has_pairs
+
+    @cached_property
+    def _neighbours(self) -> _Neighbours:
+        """Fast policy iteration near the last policies."""
+        return _Neighbours(self.process, np.full(self.process.n_states, -1))
 
     def _proved(self, rewards: FloatArray, column: Column) -> float:
         """Return the certified lower bound of the objective at the price of a column."""
-        weights = np.array([1.0, column.tail_price, 0.0])
+        process, weights = self.process, np.array([1.0, column.tail_price, 0.0])
         priced, values = weighted(rewards, weights), weighted(required(column.totals), weights)
         priced -= LOST * priced  # a bound rounds down
-        bound = bound_of(self.process, None, priced, values, choice=column.choice)
-        return self._objective_bound(column.tail_price, bound.at(self.process.start))
+        lack, least = shortfall(process.dynamics, priced, values), float(priced.min())
+        shrunk = values * (1.0 - 2.0 * float(lack.max()) / least) if least > 0.0 else values
+        bound = DualBound(shrunk, np.zeros_like(shrunk))
+        if shortfall(process.dynamics, priced, shrunk).any():
+            bound = bound_of(process, None, priced, values, choice=column.choice)
+        return self._objective_bound(column.tail_price, bound.at(process.start))
 
     def _objective_bound(self, price: float, priced: float) -> float:
         """Return the lower bound of the objective that the least priced cost implies."""
@@ -317,13 +346,70 @@ class _Tree:
                 return price
             wanted = self.search.best.value * (row.demanded if row.ratio else 1.0)
             enough = (outside.cost - wanted) / row.spare(outside)
-            return max(min(enough, _STEP * price), price * (1.0 + _MORE))
+            return enough if price < enough < _STEP * price else _STEP * price
         if row.ratio:
             least = max(least, row.objective(inside.cost, inside.goal))
         if outside is None:
-            return max(least, price / _STEP if price > _LITTLE * self.price else 0.0)
+            return max(least, price / _STEP if price * _STEP**5 > self.price else 0.0)
         slope = (inside.cost - outside.cost) / (row.spare(inside) - row.spare(outside))
         return max(least, slope)
+
+
+@dataclass(eq=False)
+class _Neighbours:
+    """Policy iteration by updates of the inverse of a policy's equations. Mutable: the policy."""
+
+    process: ExplicitProcess
+    choice: IntArray  # [states] the policy; -1: none yet
+    inverse: FloatArray = field(default_factory=partial(np.zeros, (0, 0)))  # [states, states]
+    onward: FloatArray = field(default_factory=partial(np.zeros, (0, 0)))  # [pairs, states] visits
+
+    def improved(
+        self, rewards: FloatArray, weights: FloatArray, choice: IntArray
+    ) -> tuple[IntArray, FloatArray] | None:
+        """Return a policy that no pair improves, and its totals; None if rounding prevents it.
+
+        Args:
+            rewards: [pairs, rewards].
+            weights: [rewards].
+            choice: a policy that leaves, [states].
+        """
+        process, above = self.process, np.full(len(choice), np.inf)
+        offsets, priced = process.pair_offsets, weighted(rewards, weights)
+        with np.errstate(all="ignore"):
+            for _ in range(MOST_ROUNDS):
+                try:
+                    totals = self._totals(rewards, choice)
+                except np.linalg.LinAlgError:
+                    return None
+                values = weighted(totals, weights)
+                if not (values <= above + IMPROVEMENT * np.abs(above)).all():
+                    return None
+                ahead = priced + process.transitions @ values
+                least, here = segment_minima(ahead, offsets), ahead[choice]
+                better = least < here - IMPROVEMENT * np.abs(here)
+                if not better.any():
+                    return choice, totals
+                above = values
+                choice = np.where(better, first_minimisers(ahead, least, offsets), choice)
+        return None
+
+    def _totals(self, rewards: FloatArray, choice: IntArray) -> FloatArray:
+        """Evaluate a policy by the Sherman-Morrison-Woodbury formula, [states, rewards]."""
+        steps = self.process.transitions
+        states = np.flatnonzero(choice != self.choice)
+        if states.size > _FAR * choice.size:
+            self.choice, states = choice, states[:0]
+            self.inverse = np.linalg.inv(np.eye(choice.size) - steps[choice].toarray())
+            self.onward = steps @ self.inverse
+        totals = self.inverse @ rewards[choice]
+        if states.size:
+            pairs, before = choice[states], self.choice[states]
+            onward = self.onward[np.ix_(pairs, states)] - self.onward[np.ix_(before, states)]
+            ahead = steps @ totals
+            changes = np.linalg.solve(np.eye(states.size) - onward, ahead[pairs] - ahead[before])
+            totals += self.inverse[:, states] @ changes
+        return totals
 
 
 _MOST_PAIRS = 500_000
