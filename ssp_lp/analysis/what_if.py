@@ -62,7 +62,6 @@ from ssp_lp.programs.occupation_measure import (
 
 _STEP = 1e-5  # to the nearby numbers at which one-sided derivatives are evaluated
 _AGREES = 1e-4  # relative difference of a one-sided derivative and of optima
-_JUMP = 1e-4  # least relative change of the optimum within a step of 1e-5 that is called a jump
 _ACCURACY = 1e-6  # relative: of breakpoints, and of worths of outcomes that make up a value
 _BEYOND = 1e-12  # probability of success beyond the last total that is distinguished
 _FIRST_CAP, _LAST_CAP = 16.0, 5000.0  # of distinguished totals, in greatest costs of a step
@@ -708,7 +707,7 @@ class WhatIf(Report):
         between = (far.measure.objective - beside) / step
         room, before = _AGREES * (1.0 + abs(slope)) + bend, (beside - here) / step
         moved = f"when the number moves by {step:.1g}: solve both problems and compare"
-        if abs(before - slope) > max(room, _JUMP * (1.0 + abs(here)) / abs(step)):
+        if abs(before - slope) > max(room, _AGREES * (1.0 + abs(here)) / abs(step)):
             return None, f"{side}: the optimum jumps from {here:.6g} to {beside:.6g} {moved}"
         if abs(between - (slopes[0] + slopes[1]) / 2.0) > room or abs(before - slope) > room:
             return None, f"{side}: the derivative changes {moved}"
