@@ -183,7 +183,7 @@ def of_breakpoints(report: WhatIf, effect: Effect, tally: Counter[str]) -> Itera
             reach = (low + high) / 2.0
             try:
                 low, high = (reach, high) if is_linear(reach) else (low, reach)
-            except InfeasibleError:
+            except SSPError:  # infeasible, or a negative penalty
                 high = reach
         tally["breakpoints"] += 1
         tally["breakpoints at which the slope changes"] += abs(low - end) <= 1e-4 * abs(end)
