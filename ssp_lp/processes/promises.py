@@ -16,7 +16,7 @@ from math import isfinite
 import numpy as np
 
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, room_of, sums_of
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.arrays import MACHINE_EPSILON, SAME_TOTAL, FloatArray, IntArray
 from ssp_lp.errors import ModelError, in_short, is_number
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
@@ -26,9 +26,7 @@ from ssp_lp.processes.conditions import ArrivalTerm
 from ssp_lp.processes.quantities import Constraint, Followed, Quantity, run_amounts
 
 _ROUNDING = 8.0 * MACHINE_EPSILON
-_NEAR = 1e-9  # of a unit: an amount this close to a multiple is one
-_CELLS = 400_000  # most states times levels of a total that is rounded
-_FEWEST, _MOST = 50, 2_000  # levels of such a total
+_FEWEST, _MOST, _CELLS = 50, 2_000, 400_000  # levels of a rounded total; levels times states
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,8 +61,8 @@ class _Total(Followed):
         unit = 0.0
         if totals is None or totals.size * steps.size > 1_000 * MOST_SUMS:  # moves of a table
             unit = bound / max(min(_CELLS // model.n_states, _MOST), _FEWEST)
-            up, down = np.ceil(used / unit - _NEAR), np.floor(used / unit + _NEAR)
-            used = unit * (down if self.rounds_down else up)
+            down = np.floor(used / unit * (1.0 + SAME_TOTAL))
+            used = unit * (down if self.rounds_down else np.ceil(used / unit * (1.0 - SAME_TOTAL)))
             steps, totals, room = _steps_and_totals(used, bound)
         if totals is None:
             raise ModelError(f"too many distinct totals in {self!r}: round the amounts")
@@ -80,8 +78,8 @@ class _Total(Followed):
         table = value_of(totals[:, None] + steps)
         words += [f"passes {self.bound:g}"] * self.passes + [f"over {self.bound:g}"]
         last = np.full((1 + self.passes, steps.size), over + self.passes)
-        begin = value_of(begun) if bound >= 0.0 else np.full(model.n_states, over)
         n = model.n_outcomes
+        begin = value_of(used[n:]) if bound >= 0.0 else np.full(model.n_states, over)
         rounded = f", rounded to multiples of {abs(unit):.3g}" if unit else ""
         name = f"the total of {self!r}{rounded}"
         letters = tuple(f"{step:g}" for step in steps.tolist())
