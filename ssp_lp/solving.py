@@ -91,7 +91,7 @@ def solve(
 
     once = partial(_solved_with_proof, method=chosen, options=options)
     with progress_shown(verbose):
-        down = rounded_down(problem) if problem.all_constraints else None
+        down = rounded_down(problem) if problem.tracked is not problem else None
         found = once(problem) if down is None else solve_rounded(problem, down, once)
     reason = found.run.reason
     if method is None:

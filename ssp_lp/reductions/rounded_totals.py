@@ -20,7 +20,7 @@ from ssp_lp.solution import Solution
 
 def rounded_down(problem: Problem) -> Problem | None:
     """Return the problem with amounts rounded down that it rounds up; None: it rounds none."""
-    rounded = rounded_in(problem.unrolled.model)
+    rounded = rounded_in(problem.tracked.model)
     if not rounded:
         return None
     limits = {
@@ -46,7 +46,7 @@ def solve_rounded(problem: Problem, down: Problem, solve: Callable[..., Solution
         SolverError: the limits are feasible with amounts rounded down, but not rounded up.
     """
     looser = solve(down)
-    unit = max(rounded_in(problem.unrolled.model).values())
+    unit = max(rounded_in(problem.tracked.model).values())
     try:
         found = solve(problem)
     except InfeasibleError as error:
