@@ -218,6 +218,10 @@ class _Optimum:
             cap *= 2.0
         raise SolverError("too many total costs for derivatives of a cost given success")
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields and derived numbers, without the solver of ``optima``."""
+        return {name: value for name, value in self.__dict__.items() if name != "optima"}
+
     @cached_property
     def scale(self) -> float:
         """Sign and divisor that turn the Lagrangian's derivative into the optimum's."""
