@@ -92,7 +92,7 @@ def solve(
     once = partial(_solved_with_proof, method=chosen, options=options)
     with progress_shown(verbose):
         down = rounded_down(problem) if problem.tracked is not problem else None
-        found = once(problem) if down is None else solve_rounded(problem, down, once)
+        found = once(problem) if down is None else solve_rounded(problem, down, once, tolerance)
     reason = found.run.reason
     if method is None:
         reason = reason.replace("as asked", "which scales best for one failure row")

@@ -13,6 +13,7 @@ from typing import Any, cast
 
 from ssp_lp.errors import InfeasibleError, SolverError
 from ssp_lp.model.tracked_product import rounded_in
+from ssp_lp.options import Status
 from ssp_lp.problem import Problem, as_stated
 from ssp_lp.processes.quantities import Followed
 from ssp_lp.solution import Solution
@@ -33,13 +34,16 @@ def rounded_down(problem: Problem) -> Problem | None:
     return cast("Problem", replace(cast("Any", problem), constraints=limits, **as_stated(problem)))
 
 
-def solve_rounded(problem: Problem, down: Problem, solve: Callable[..., Solution]) -> Solution:
+def solve_rounded(
+    problem: Problem, down: Problem, solve: Callable[..., Solution], tolerance: float
+) -> Solution:
     """Solve a problem with amounts rounded up, and bound its optimum with amounts rounded down.
 
     Args:
         problem: the problem, whose amounts are rounded up.
         down: the same with amounts rounded down.
         solve: function that solves one of the two.
+        tolerance: relative gap above which the answer does not count as optimal.
 
     Raises:
         InfeasibleError: no policy satisfies the limits, even with amounts rounded down.
@@ -63,4 +67,6 @@ def solve_rounded(problem: Problem, down: Problem, solve: Callable[..., Solution
     )
     told = (f"totals are rounded to multiples of {unit:.3g}, up for the policy, down for the bound:"
             f" they differ by {found.gap:.1e}")  # fmt: skip
-    return replace(found, note="; ".join(filter(None, (found.note, told))))
+    is_wide = found.gap > tolerance and found.status is Status.OPTIMAL
+    status = Status.TOLERANCE_MISSED if is_wide else found.status
+    return replace(found, status=status, note="; ".join(filter(None, (found.note, told))))

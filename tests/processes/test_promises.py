@@ -16,6 +16,7 @@ from ssp_lp import (
     InfeasibleError,
     ModelError,
     SolverError,
+    Status,
     certify,
     check_certificate,
     end_probability,
@@ -29,6 +30,7 @@ from ssp_lp import (
     within,
     write_certificate,
 )
+from ssp_lp.arrays import RELATIVE_GAP
 from ssp_lp.io import (
     Controller,
     load_policy,
@@ -228,6 +230,8 @@ def test_too_many_totals_are_rounded_up_for_the_plan_and_down_for_the_bound(monk
         assert solution.objective >= best * (1.0 - 1e-9)
         assert solution.gap <= 4.0 / levels
         assert "rounded to multiples of" in solution.note
+        is_wide = solution.gap > RELATIVE_GAP
+        assert is_wide == (solution.status is Status.TOLERANCE_MISSED)
         assert certify(solution).accepted
         shares = [0.0, 0.0]  # of the runs that reach the goal within the bound, and that exceed it
         for weight, member in solution.policy.weighted:
