@@ -26,6 +26,7 @@ from ssp_lp import (
     secondary_cost,
     simulate,
     solve,
+    trace_frontier,
     visits,
     within,
     write_certificate,
@@ -230,6 +231,7 @@ def test_too_many_totals_are_rounded_up_for_the_plan_and_down_for_the_bound(monk
         assert solution.objective >= best * (1.0 - 1e-9)
         assert solution.gap <= 4.0 / levels
         assert "rounded to multiples of" in solution.note
+        refused("too many and rounded to multiples of", trace_frontier, problem)
         is_wide = solution.gap > RELATIVE_GAP
         assert is_wide == (solution.status is Status.TOLERANCE_MISSED)
         assert certify(solution).accepted
