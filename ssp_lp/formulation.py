@@ -258,6 +258,11 @@ class Formulation(Problem):
         for followed in followed_by(limit for _, limit in limits_of(self)):
             if followed_in(model, followed) is None:
                 automaton = followed.automaton(model)
+                limits = (limit for _, limit in limits_of(self) if automaton.unit > 0.0)
+                if not all(map(followed.is_safe, limits)):
+                    raise ModelError(f"too many distinct totals in {followed!r}, and rounding them "
+                                     "up is safe only for limits within(...) >= p and "
+                                     "exceeds(...) <= p: round the amounts")  # fmt: skip
                 product = track(model, automaton, followed, begin)
                 model, begin = product, product.at(begin, product.first_memory(begin))
         if model is self.model:

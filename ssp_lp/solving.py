@@ -35,6 +35,7 @@ from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import GiveUp, goal_out_of_reach
 from ssp_lp.reductions.exploration import explore
 from ssp_lp.reductions.robust import robust
+from ssp_lp.reductions.rounded_totals import rounded_down, solve_rounded
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities, and of a row relative to its size
@@ -88,8 +89,10 @@ def solve(
     if (refused := refusal(problem, chosen)) is not None:
         raise refused
 
+    once = partial(_solved_with_proof, method=chosen, options=options)
     with progress_shown(verbose):
-        found = _solved_with_proof(problem, chosen, options)
+        down = rounded_down(problem) if problem.tracked is not problem else None
+        found = once(problem) if down is None else solve_rounded(problem, down, once, tolerance)
     reason = found.run.reason
     if method is None:
         reason = reason.replace("as asked", "which scales best for one failure row")

@@ -16,8 +16,8 @@ from typing import cast
 
 import numpy as np
 
-from ssp_lp.analysis.worst_case import worst_case, worst_charges
-from ssp_lp.arrays import IMPROVEMENT, LEAST_BUDGET, BoolArray, IntArray, expected
+from ssp_lp.analysis.worst_case import worst_case
+from ssp_lp.arrays import IMPROVEMENT, LEAST_BUDGET, BoolArray, FloatArray, IntArray, expected
 from ssp_lp.column_generation.column import two_sided_gap
 from ssp_lp.column_generation.restricted_master import MasterOptimum
 from ssp_lp.column_generation.search import secant
@@ -133,7 +133,7 @@ def tighten(
                 pool.add(decision)
                 for policy in as_lottery(at_worst.policy).policies:
                     pool.add(completed(policy, decision, pool.ends))
-            pool.refine()
+            pool.refine(tolerance)
         return pool.tightened()
 
 
@@ -144,6 +144,7 @@ class _Pool:
     problem: Problem
     box: Boxes
     ends: IntArray  # decisions that give up wherever a plan may, [states]
+    charges: FloatArray  # of ending there, [states]
     surely: BoolArray  # states from which these surely end, [states]
     plans: dict[tuple[float, float], Policy] = field(default_factory=dict)  # by their worst values
     lower_bound: float = 0.0
@@ -177,11 +178,13 @@ class _Pool:
             else:
                 return
 
-    def refine(self) -> None:
-        """Add plans beside those of the lottery until it is no better for it."""
+    def refine(self, tolerance: float) -> None:
+        """Add plans beside those of the lottery until it is no better, or the gap is closed."""
         value = np.inf
         while (best := self.lottery()).value < value and not is_late():
             plans, value = [*self.plans.values()], best.value * (1.0 - IMPROVEMENT)
+            if two_sided_gap(best.value, self.lower_bound) <= tolerance:
+                return
             for k in np.flatnonzero(best.weights).tolist():
                 for decision in self._beside(plans[k], float(best.prices[0])):
                     self.add(decision)
@@ -198,9 +201,8 @@ class _Pool:
         decision = np.where(reached, cast("DeterministicPolicy", plan).decision, self.ends)
         missed = (~model.goal_mask).astype(np.float64)
         acting = self.surely & (decision != UNDECIDED)
-        stopping, entering = worst_charges(self.problem.semantics, box)
-        stops = np.flatnonzero(acting & reached & np.isfinite(stopping))
-        charges = missed * np.where(acting & np.isfinite(stopping), stopping, entering)
+        stops = np.flatnonzero(reached & (self.ends == GIVE_UP_CODE))
+        charges = missed * self.charges
         cost = worst_loss(box, decision, acting, charges, charges)
         failure = worst_loss(box, decision, acting, missed, None)
         means = (worst_means(box, worth)[1] for worth in (
@@ -208,7 +210,7 @@ class _Pool:
         own, failing = means
         code = np.append(np.arange(model.n_pairs), np.full(stops.size, GIVE_UP_CODE))
         state = np.append(model.pair_state, stops)
-        then = np.append(own + price * failing, stopping[stops] + price)
+        then = np.append(own + price * failing, charges[stops] + price)
         gain = (cost + price * failure)[state] - then
         some = np.flatnonzero((acting & reached)[state] & (code != decision[state]))
         some = some[np.argsort(-gain[some], kind="stable")]
@@ -241,7 +243,7 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
     Raises:
         InfeasibleError: even this plan's worst failure probability exceeds the budget.
     """
-    budget, (ends, _, rank, _) = problem.failure_budget, ending(box, problem.semantics)
+    budget, (ends, charges, rank, _) = problem.failure_budget, ending(box, problem.semantics)
     loss, decision, *_ = settled(box, problem.semantics, safest=True)
     check_ends(problem.semantics, problem.model, problem.start_mass, loss)
     least = float(expected(problem.start_mass, loss))
@@ -253,6 +255,6 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
             failure_budget=budget,
             least_failure=least,
         )
-    pool = _Pool(problem, box, ends, rank == 0)
+    pool = _Pool(problem, box, ends, charges, rank == 0)
     pool.add(decision)
     return pool

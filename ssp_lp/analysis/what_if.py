@@ -62,7 +62,6 @@ from ssp_lp.programs.occupation_measure import (
 
 _STEP = 1e-5  # to the nearby numbers at which one-sided derivatives are evaluated
 _AGREES = 1e-4  # relative difference of a one-sided derivative and of optima
-_JUMP = 1e-4  # least relative change of the optimum within a step of 1e-5 that is called a jump
 _ACCURACY = 1e-6  # relative: of breakpoints, and of worths of outcomes that make up a value
 _BEYOND = 1e-12  # probability of success beyond the last total that is distinguished
 _FIRST_CAP, _LAST_CAP = 16.0, 5000.0  # of distinguished totals, in greatest costs of a step
@@ -218,6 +217,10 @@ class _Optimum:
                 return cls(solved, measure, cap)
             cap *= 2.0
         raise SolverError("too many total costs for derivatives of a cost given success")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields and derived numbers, without the solver of ``optima``."""
+        return {name: value for name, value in self.__dict__.items() if name != "optima"}
 
     @cached_property
     def scale(self) -> float:
@@ -506,17 +509,28 @@ class _Optimum:
         """Whether no other lottery and no other prices are optimal.
 
         They are unique if every optimal pair of a visited state is used, if there are as many such
-        pairs as visited states and rows with a price together, if every tight row has a price, and
-        if no charge of failing is attained by two actions.
+        pairs as visited states and tight rows together, if every tight row has a price, and if no
+        charge of failing is attained by two actions.
         """
-        measure, best = self.measure, self.best
-        priced = sum(price > ROUNDING * self.size for price in measure.prices.values())
-        met = sum(abs(measure.slack[row.name]) <= ROUNDING * (1.0 + abs(row.bound))
-                  for row in measure.program.rows)  # fmt: skip
-        visited = np.unique(measure.program.process.pair_state[best])
-        unused = (best & (measure.visits <= ROUNDING)).any()
-        more = int(best.sum()) - visited.size != priced
-        return not (unused or more or met != priced or self._charges_tie)
+        prices = self.measure.prices.items()
+        priced = {name for name, price in prices if price > ROUNDING * self.size}
+        unused = (self.best & (self.measure.visits <= ROUNDING)).any()
+        alone = self.has_one_price and priced == {*self.tight} and not unused
+        return alone and not self._charges_tie
+
+    @cached_property
+    def tight(self) -> list[str]:
+        """Names of the rows that are met with equality."""
+        measure = self.measure
+        return [row.name for row in measure.program.rows if abs(measure.slack[row.name]) <= (
+            ROUNDING * (1.0 + abs(row.bound)))]  # fmt: skip
+
+    @cached_property
+    def has_one_price(self) -> bool:
+        """Whether the vertex has enough pairs for its tight rows, so that the prices are unique."""
+        used = self.measure.visits > ROUNDING
+        visited = np.unique(self.measure.program.process.pair_state[used]).size
+        return int(used.sum()) - visited == len(self.tight)
 
     @cached_property
     def optima(self) -> Callable[[FloatArray, float], float] | None:
@@ -525,24 +539,17 @@ class _Optimum:
         None if several prices may be optimal: the vertex has too few pairs for its tight rows. In
         case S all is divided by the goal probability. It is nan if there is no least value.
         """
-        measure, program = self.measure, self.measure.program
-        used = measure.visits > ROUNDING
-        tight = {r.name for r in program.rows if r.bound - measure.activity[r.name] <= ROUNDING *
-                 max(abs(r.bound), r.largest)}  # fmt: skip
-        visited = np.unique(program.process.pair_state[used]).size
-        if int(used.sum()) - visited != len(tight) or self.problem.semantics.charge_failing_step:
+        if not self.has_one_price or self.problem.semantics.charge_failing_step:
             return None
         from ssp_lp.linear_programming.highs import minimiser
 
+        program, prices = self.measure.program, self.measure.prices
         linear, best = program.linear, self.duals.reduced_costs <= ROUNDING * self.size
         columns = np.flatnonzero(np.append(best, [True] * program.ratio))
-        lower = np.array(linear.lower)
-        for name, price in measure.prices.items():
-            if price > 0.0 and name in tight:
-                lower[linear.rows[name]] = linear.upper[linear.rows[name]]
-        matrix = linear.matrix[:, columns]
-        free = np.zeros(columns.size)
-        least = minimiser(replace(linear, cost=free, matrix=matrix, lower=lower))
+        lower, matrix = np.array(linear.lower), linear.matrix[:, columns]
+        for place in (linear.rows[name] for name in self.tight if prices.get(name, 0.0) > 0.0):
+            lower[place] = linear.upper[place]
+        least = minimiser(replace(linear, cost=np.zeros(columns.size), matrix=matrix, lower=lower))
         if program.ratio:  # the last column is the factor by which all visits are multiplied
             return lambda per, fixed: least(np.append(per, fixed)[columns])
         return lambda per, fixed: least(per[columns]) + fixed
@@ -708,7 +715,7 @@ class WhatIf(Report):
         between = (far.measure.objective - beside) / step
         room, before = _AGREES * (1.0 + abs(slope)) + bend, (beside - here) / step
         moved = f"when the number moves by {step:.1g}: solve both problems and compare"
-        if abs(before - slope) > max(room, _JUMP * (1.0 + abs(here)) / abs(step)):
+        if abs(before - slope) > max(room, _AGREES * (1.0 + abs(here)) / abs(step)):
             return None, f"{side}: the optimum jumps from {here:.6g} to {beside:.6g} {moved}"
         if abs(between - (slopes[0] + slopes[1]) / 2.0) > room or abs(before - slope) > room:
             return None, f"{side}: the derivative changes {moved}"

@@ -49,6 +49,7 @@ class Automaton(Report, ReadOnlyCopies):
     moves: IntArray  # [values, letters] value after a letter is read
     letter: IntArray  # [outcomes] of the model
     begin: IntArray  # [states] value with which an episode begins
+    unit: float = 0.0  # to whose multiples amounts are rounded up; negative: down; 0: exact
 
     def __post_init__(self) -> None:
         self.keep_read_only("moves", "letter", "begin")
@@ -131,6 +132,16 @@ def followed_in(model: SSP, follows: object) -> tuple[TrackedSSP, IntArray] | No
             return model, place
         place, model = model.original_state[place], model.original
     return None
+
+
+def rounded_in(model: SSP) -> dict[object, float]:
+    """Return the limits whose amounts the products of a model round up, with the grid's unit."""
+    found = dict[object, float]()
+    while isinstance(model, ProductSSP):
+        if isinstance(model, TrackedSSP) and model.automaton.unit > 0.0:
+            found[model.follows] = model.automaton.unit
+        model = model.original
+    return found
 
 
 def track(

@@ -2,28 +2,31 @@
 
 ``within(fuel, 10) >= 0.95``: with probability 0.95 the run reaches the goal and uses at most 10
 units. The model is extended by the total so far, capped beyond the bound, or by the automaton of
-the task (:mod:`ssp_lp.model.tracked_product`).
+the task (:mod:`ssp_lp.model.tracked_product`). If the totals have too many different values, the
+amounts are rounded up to multiples of a unit, so that a policy satisfies the limit with certainty;
+the same problem with amounts rounded down bounds the optimum of every policy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, room_of, sums_of
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.arrays import MACHINE_EPSILON, SAME_TOTAL, FloatArray, IntArray
 from ssp_lp.errors import ModelError, in_short, is_number
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.task import Task
 from ssp_lp.model.tracked_product import Automaton, TrackedSSP
 from ssp_lp.processes.conditions import ArrivalTerm
-from ssp_lp.processes.quantities import Followed, Quantity, run_amounts
+from ssp_lp.processes.quantities import Constraint, Followed, Quantity, run_amounts
 
 _ROUNDING = 8.0 * MACHINE_EPSILON
+_FEWEST, _MOST, _CELLS = 50, 2_000, 400_000  # levels of a rounded total; levels times states
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,6 +36,7 @@ class _Total(Followed):
     quantity: Quantity
     bound: float
     passes: bool = False  # runs that pass the bound, wherever they end
+    rounds_down: bool = False  # amounts, if the totals are too many; otherwise up
 
     def __repr__(self) -> str:
         """Return the call as text."""
@@ -41,11 +45,11 @@ class _Total(Followed):
     def automaton(self, model: SSP) -> Automaton:
         """Return the automaton of totals up to the bound, with one or two values beyond it.
 
-        With ``passes`` there are two such values: just passed, and passed before.
+        With ``passes`` there are two such values: just passed, and passed before. If there are too
+        many totals, the amounts are rounded to multiples of a fraction of the bound.
 
         Raises:
-            ModelError: an unknown name, a quantity that is not a total of costs and visits, or too
-                many totals.
+            ModelError: an unknown name, or a quantity that is not a total of costs and visits.
         """
         amounts, begun = run_amounts(model, self.quantity)
         constant = self.quantity.constant
@@ -53,16 +57,17 @@ class _Total(Followed):
         if abs(bound) <= _ROUNDING * abs(constant):  # the constant equals the bound up to rounding
             bound = 0.0
         used = np.minimum(np.append(amounts, begun), 2.0 * abs(bound) + 1.0)  # beyond it at once
-        steps, letter = np.unique(used, return_inverse=True)
-        moves = np.union1d(0.0, steps)
-        room = room_of(moves, bound) if bound > 0.0 else 0.0
-        totals = sums_of(moves, bound + 2.0 * room, MOST_SUMS) if bound >= 0.0 else np.zeros(0)
+        steps, totals, room = _steps_and_totals(used, bound)
+        unit = 0.0
         if totals is None or totals.size * steps.size > 1_000 * MOST_SUMS:  # moves of a table
-            raise ModelError(
-                f"too many distinct totals (over {MOST_SUMS:,}, or of {steps.size:,} amounts) in "
-                f"{self!r}: round the amounts to a coarser grid, or count them in larger units"
-            )
-        over = totals.size
+            unit = bound / max(min(_CELLS // model.n_states, _MOST), _FEWEST)
+            down = np.floor(used / unit * (1.0 + SAME_TOTAL))
+            used = unit * (down if self.rounds_down else np.ceil(used / unit * (1.0 - SAME_TOTAL)))
+            steps, totals, room = _steps_and_totals(used, bound)
+        if totals is None:
+            raise ModelError(f"too many distinct totals in {self!r}: round the amounts")
+        unit = -unit if self.rounds_down else unit
+        letter, over = np.searchsorted(steps, used), totals.size
 
         def value_of(total: FloatArray) -> IntArray:
             """Return the value for a total: an equal sum, or the value beyond the bound."""
@@ -73,12 +78,24 @@ class _Total(Followed):
         table = value_of(totals[:, None] + steps)
         words += [f"passes {self.bound:g}"] * self.passes + [f"over {self.bound:g}"]
         last = np.full((1 + self.passes, steps.size), over + self.passes)
-        begin = value_of(begun) if bound >= 0.0 else np.full(model.n_states, over)
         n = model.n_outcomes
-        name = f"the total of {self!r}"
+        begin = value_of(used[n:]) if bound >= 0.0 else np.full(model.n_states, over)
+        rounded = f", rounded to multiples of {abs(unit):.3g}" if unit else ""
+        name = f"the total of {self!r}{rounded}"
         letters = tuple(f"{step:g}" for step in steps.tolist())
         moves = np.vstack([table, last])
-        return Automaton(name, tuple(words), letters, moves, letter[:n], begin)
+        return Automaton(name, tuple(words), letters, moves, letter[:n], begin, unit)
+
+    def rounded_down(self) -> _Total:
+        """Return the total with amounts rounded down, if they must be rounded."""
+        return replace(self, rounds_down=True)
+
+    def is_safe(self, constraint: Constraint) -> bool:
+        """Return whether policies of rounded-up amounts satisfy a limit with the exact ones."""
+        at_most, at_least = constraint.upper is not None, constraint.lower is not None
+        weights = [weight for weight, counted in constraint.quantity.terms if counted is self]
+        rises = [(weight > 0.0) == self.passes for weight in weights]  # the more, the higher totals
+        return not (at_least and any(rises)) and not (at_most and not all(rises))
 
     def term(self, product: TrackedSSP) -> ArrivalTerm:
         """Return the term of goals reached within the bound, or of states that just pass it."""
@@ -86,6 +103,16 @@ class _Total(Followed):
         if self.passes:
             return ArrivalTerm(product, value == over)
         return ArrivalTerm(product, product.goal_mask & (value < over), final=True)
+
+
+def _steps_and_totals(
+    used: FloatArray, bound: float
+) -> tuple[FloatArray, FloatArray | None, float]:
+    """Return distinct amounts, the totals up to a bound (None: too many), and their tolerance."""
+    steps = np.unique(used)
+    moves = np.union1d(0.0, steps)
+    room = room_of(moves, bound) if bound > 0.0 else 0.0
+    return steps, sums_of(moves, bound + 2.0 * room, MOST_SUMS) if bound >= 0.0 else used[:0], room
 
 
 @explained

@@ -106,6 +106,14 @@ class Followed(ABC):
     def term(self, product: TrackedSSP) -> ArrivalTerm:
         """Return the term of arrivals in states of the product that counts the runs."""
 
+    def rounded_down(self) -> Followed:
+        """Return the same with amounts rounded down, if the automaton rounds them."""
+        return self
+
+    def is_safe(self, constraint: Constraint) -> bool:
+        """Return whether a policy that satisfies a limit as rounded satisfies it exactly."""
+        return constraint.quantity is not None
+
     def looked_up(self, model: SSP) -> ArrivalTerm:
         """Return the term on a model that contains the product with the automaton."""
         found = followed_in(model, self)

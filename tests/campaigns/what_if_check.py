@@ -6,12 +6,13 @@ Models have 2 to 60 states with loops, free steps, dead-ends with and without ac
 start or two; problems are MCMP, S3P, MaxProb, MinCost and FinitePenalty with up to three limits, a
 discount or a horizon. Of each draw some numbers are moved, alone and in groups, and the problem is
 solved again by column generation, four times on each side and at two widths: where both widths
-agree, the derivative of that side must be theirs, to 1e-6 of its size. Prints what differs, and a
-table of counts.
+agree, the derivative of that side must be theirs, to 1e-6 of its size. In case M the optimum must
+be linear in some bounds and costs up to the stated breakpoints. Prints what differs, and a table of
+counts.
 """
 
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -36,6 +37,7 @@ FORWARD = np.array([-25.0, 48.0, -36.0, 16.0, -3.0]) / 12.0  # of the fourth ord
 WIDTHS = 2e-4, 1e-4  # of a step; relative to the greatest step
 SETTLED, SAME = 2e-7, 1e-6  # relative differences: of both widths, and of the derivative
 EXACT = 1e-11  # relative gap of the optima
+LINEAR = 1e-8  # relative distance of an optimum from a line
 CRITERIA = ("MCMP", "FinitePenalty", "MaxProb", "MinCost", "S3P")
 
 
@@ -162,6 +164,33 @@ def of_the_lottery(problem: Any, effect: Effect) -> Iterator[str]:
                 yield f"{problem!r}: {effect.number.name}: {beside!r} at {step:g}, above {line!r}"
 
 
+def of_breakpoints(report: WhatIf, effect: Effect, tally: Counter[str]) -> Iterator[str]:
+    """In case M the optimum is linear in a bound or cost up to the breakpoints, by bisection."""
+    problem, slope = report.problem, effect.derivative
+    if slope is None:
+        return
+    middle, change = solve(problem, tolerance=EXACT).objective, effect.number.change
+    for end in report.breakpoints(effect.number):
+
+        def is_linear(step: float) -> bool:
+            optimum = solve(change.applied(problem, step), tolerance=EXACT).objective
+            return abs(optimum - middle - slope * step) <= LINEAR * (1.0 + abs(optimum))
+
+        low, high = 0.0, 1.2 * end
+        if abs(end) < 1e-3 or abs(high) >= change.most(problem, end):
+            continue
+        for _ in range(16):
+            reach = (low + high) / 2.0
+            try:
+                low, high = (reach, high) if is_linear(reach) else (low, reach)
+            except SSPError:  # infeasible, or a negative penalty
+                high = reach
+        tally["breakpoints"] += 1
+        tally["breakpoints at which the slope changes"] += abs(low - end) <= 1e-4 * abs(end)
+        if abs(low) < abs(end) * (1.0 - 1e-4):
+            yield f"{problem!r}: {effect.number.name}: breakpoint {end!r}, linear to {low!r} only"
+
+
 def told(report: WhatIf, tally: Counter[str]) -> Iterator[str]:
     """What is wrong with the derivatives of a report."""
     problem = report.problem
@@ -171,6 +200,10 @@ def told(report: WhatIf, tally: Counter[str]) -> Iterator[str]:
             tally["lines"] += 1
             yield from of_the_lottery(problem, effect)
             continue
+        is_linear = effect.number.kind in ("bound", "cost") and not problem.ratio
+        rarely = sum(tally[name] for name in CRITERIA) % 20 == 1  # it takes many solves
+        if effect is report.effects[0] and is_linear and rarely:
+            yield from of_breakpoints(report, effect, tally)
         for side, by_differences in differences(problem, change):
             stated = getattr(effect, side)
             if by_differences is None:
@@ -200,12 +233,12 @@ def check(seed: int, tally: Counter[str], asked: Namespace) -> Iterator[str]:
         return
     tally[criterion] += 1
     chosen = np.random.default_rng(seed)
-    share = min(1.0, 4.0 / problem.model.n_outcomes)
+    share = min(1.0, asked.numbers / problem.model.n_outcomes)
 
     def some(number: Any) -> str | None:
         draw = chosen.random()
         if number.kind == "bound":
-            return number.name if draw < 0.7 else None
+            return number.name if draw < 0.175 * asked.numbers else None
         if draw < share / 6:
             return f"{number.kind} together" if number.kind != "start" else None
         return number.name if draw < share else None
@@ -220,12 +253,15 @@ def check(seed: int, tally: Counter[str], asked: Namespace) -> Iterator[str]:
         yield f"{problem!r}: {type(error).__name__}: {error}"
 
 
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command line."""
+    parser.add_argument("--small", action="store_true", help="models of at most 5 states")
+    parser.add_argument("--numbers", type=float, default=4.0, help="derivatives of a problem")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check draws from the command line; 1 if anything was wrong."""
-    return run(
-        __doc__, check, arguments, count=200,
-        options=lambda parser: parser.add_argument("--small", action="store_true"),
-    )  # fmt: skip
+    return run(__doc__, check, arguments, count=200, options=add_options)
 
 
 if __name__ == "__main__":

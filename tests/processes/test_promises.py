@@ -1,5 +1,6 @@
 """Promises: with probability p a run reaches the goal with a total of at most a bound."""
 
+import itertools
 import pickle
 
 import numpy as np
@@ -14,6 +15,8 @@ from ssp_lp import (
     SSP,
     InfeasibleError,
     ModelError,
+    SolverError,
+    Status,
     certify,
     check_certificate,
     end_probability,
@@ -23,10 +26,12 @@ from ssp_lp import (
     secondary_cost,
     simulate,
     solve,
+    trace_frontier,
     visits,
     within,
     write_certificate,
 )
+from ssp_lp.arrays import RELATIVE_GAP
 from ssp_lp.io import (
     Controller,
     load_policy,
@@ -35,6 +40,7 @@ from ssp_lp.io import (
     save_solution,
     write_controller,
 )
+from ssp_lp.processes import promises
 from tests.campaigns import promised_totals
 
 FUEL = secondary_cost("fuel")
@@ -184,10 +190,95 @@ def test_totals_of_real_amounts_are_sums_and_too_many_are_named():
     limit = within(np.sqrt(2.0) * FUEL, 10.0 * np.sqrt(2.0)) >= 0.95
     assert solve(on_six(limit)).objective == pytest.approx(14.154749, abs=1e-6)
     rng = np.random.default_rng(1)
-    amounts = rng.random(SIX.n_outcomes) * 0.01
+    amounts = secondary_cost(rng.random(SIX.n_outcomes) * 0.01)
+    for unsafe in (within(amounts, 0.03) <= 0.5, 1.0 - exceeds(amounts, 0.03) <= 0.5):
+        refused(
+            r"too many distinct totals.*rounding them up is safe only",
+            on_six,
+            unsafe,
+            error=ModelError,
+        )
+
+
+@pytest.mark.parametrize("levels", [20, 60])
+def test_too_many_totals_are_rounded_up_for_the_plan_and_down_for_the_bound(monkeypatch, levels):
+    """The time tells the fuel, whose exact totals are followed along every path."""
+    rng, count = np.random.default_rng(3), 3
+    kinds = {"fast": [(0.59, 2.0), (0.40, 4.0)], "slow": [(1.0, 1.0)]}
+    moves = {}
+    for k in range(count):
+        moves[k] = {}
+        for way, outs in kinds.items():
+            moves[k][way] = []
+            for chance, fuel in outs:
+                used, time = fuel + rng.random(), 1.0 + 2.0 * (way == "slow") + fuel / 100.0
+                moves[k][way].append((chance, k + 1, {"time": time, "fuel": used}))
+        moves[k]["fast"].append((0.01, "crash", {"time": 1.0, "fuel": 0.0}))
+    model = SSP.from_transitions(moves | {"crash": {}}, {count}, cost="time", dead_ends={"crash"})
+    exact = [
+        solve(MCMP(model, 0, 0.1, give_up="dead_ends", constraints={"fuel": limit})).objective
+        for limit in (within(FUEL, 8.0) >= 0.9, exceeds(FUEL, 8.0) <= 0.08)
+    ]
+    monkeypatch.setattr(promises, "_MOST", levels)
+    monkeypatch.setattr(promises, "_FEWEST", levels)
+    monkeypatch.setattr(promises, "MOST_SUMS", levels + 1)
+    for limit, best in zip(
+        (within(FUEL, 8.0) >= 0.9, exceeds(FUEL, 8.0) <= 0.08), exact, strict=True
+    ):
+        problem = MCMP(model, 0, 0.1, give_up="dead_ends", constraints={"fuel": limit})
+        solution = solve(problem)
+        assert solution.lower_bound <= best * (1.0 + 1e-9)
+        assert solution.objective >= best * (1.0 - 1e-9)
+        assert solution.gap <= 4.0 / levels
+        assert "rounded to multiples of" in solution.note
+        refused("too many and rounded to multiples of", trace_frontier, problem)
+        is_wide = solution.gap > RELATIVE_GAP
+        assert is_wide == (solution.status is Status.TOLERANCE_MISSED)
+        assert certify(solution).accepted
+        shares = [0.0, 0.0]  # of the runs that reach the goal within the bound, and that exceed it
+        for weight, member in solution.policy.weighted:
+            for path in itertools.product(*(range(3) for _ in range(count))):
+                chance, fuel, episode, state = weight, 0.0, member.start(0), 0
+                for place in path:
+                    outs = moves[state][episode.action(state)] if state in range(count) else []
+                    if place >= max(len(outs), 1):
+                        chance = 0.0
+                    if place >= len(outs):
+                        continue
+                    share, state, costs = outs[place]
+                    chance, fuel = chance * share, fuel + costs["fuel"]
+                    if state in range(count):
+                        episode.observe(state, costs["time"])
+                shares[0] += chance * (state == count and fuel <= 8.0)
+                shares[1] += chance * (fuel > 8.0)
+        assert shares[0] >= 0.9 - 1e-9 or limit.lower is None
+        assert shares[1] <= 0.08 + 1e-9 or limit.upper is None
+
+
+def test_the_amount_at_the_start_is_rounded_too(monkeypatch):
+    """A visit counts 0.7 at the start: rounded up to multiples of 0.5 it is 1, rounded down 0.5."""
+    ways = {"go": [(0.5, "home", 0.36), (0.25, "home", 0.37), (0.25, "home", 0.41)]}
+    model = SSP.from_transitions({"ward": ways}, {"home"})
+    total = 0.7 * visits("ward") + expected_cost()
+    monkeypatch.setattr(promises, "MOST_SUMS", 4)
+    monkeypatch.setattr(promises, "_MOST", 3)
+    monkeypatch.setattr(promises, "_FEWEST", 3)
+    solution = solve(MCMP(model, "ward", 0.0, constraints={"few": within(total, 1.5) >= 1.0}))
+    assert solution.secondary_costs["few"] == pytest.approx(1.0)
+    late = MCMP(model, "ward", 0.0, constraints={"few": within(total, 1.02) >= 0.4})
+    refused("rounded up no policy satisfies", solve, late, error=SolverError)
+
+
+def test_a_limit_that_only_rounding_breaks_is_no_proof_of_infeasibility():
+    rng = np.random.default_rng(1)
+    amounts = rng.random(SIX.n_outcomes) + 1.0
+    slow = float(amounts[3::4].sum())  # each stage has three outcomes of fast, then slow
+    problem = on_six(within(secondary_cost(amounts), slow) >= 1.0, 0.03)
     refused(
-        "too many distinct totals", lambda: on_six(within(secondary_cost(amounts), 10.0) >= 0.5)
+        "rounded up no policy satisfies the limits, rounded down", solve, problem, error=SolverError
     )
+    never = on_six(within(secondary_cost(amounts), slow / 2.0) >= 0.9)
+    refused("'fuel' is at most", solve, never, error=InfeasibleError)
 
 
 def test_what_is_no_total_is_refused():

@@ -1,0 +1,72 @@
+"""Limits on totals with too many values: a plan by amounts rounded up, a bound by rounding down.
+
+A policy that satisfies ``within(fuel, 10) >= 0.95`` with every amount rounded up satisfies it with
+the exact amounts, too; with every amount rounded down, every policy that satisfies the exact limit
+satisfies the rounded one. The problem itself rounds up, so that its policies are feasible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, cast
+
+from ssp_lp.errors import InfeasibleError, SolverError
+from ssp_lp.model.tracked_product import rounded_in
+from ssp_lp.options import Status
+from ssp_lp.problem import Problem, as_stated
+from ssp_lp.processes.quantities import Followed
+from ssp_lp.solution import Solution
+
+
+def rounded_down(problem: Problem) -> Problem | None:
+    """Return the problem with amounts rounded down that it rounds up; None: it rounds none."""
+    rounded = rounded_in(problem.tracked.model)
+    if not rounded:
+        return None
+    limits = {
+        name: replace(limit, quantity=replace(limit.quantity, terms=tuple(
+            (weight, counted.rounded_down() if isinstance(counted, Followed) else counted)
+            for weight, counted in limit.quantity.terms
+        )))
+        for name, limit in problem.constraints.items()
+    }  # fmt: skip
+    return cast("Problem", replace(cast("Any", problem), constraints=limits, **as_stated(problem)))
+
+
+def solve_rounded(
+    problem: Problem, down: Problem, solve: Callable[..., Solution], tolerance: float
+) -> Solution:
+    """Solve a problem with amounts rounded up, and bound its optimum with amounts rounded down.
+
+    Args:
+        problem: the problem, whose amounts are rounded up.
+        down: the same with amounts rounded down.
+        solve: function that solves one of the two.
+        tolerance: relative gap above which the answer does not count as optimal.
+
+    Raises:
+        InfeasibleError: no policy satisfies the limits, even with amounts rounded down.
+        SolverError: the limits are feasible with amounts rounded down, but not rounded up.
+    """
+    looser = solve(down)
+    unit = max(rounded_in(problem.tracked.model).values())
+    try:
+        found = solve(problem)
+    except InfeasibleError as error:
+        raise SolverError(
+            f"totals are rounded to multiples of {unit:.3g}: rounded up no policy satisfies the "
+            "limits, rounded down some policy does: round the amounts to fewer values, or ask for "
+            "less"
+        ) from error
+    upper = found.upper_bound
+    if upper is not None and looser.upper_bound is not None:
+        upper = max(upper, looser.upper_bound)
+    found = replace(
+        found, upper_bound=upper, lower_bound=min(found.lower_bound, looser.lower_bound)
+    )
+    told = (f"totals are rounded to multiples of {unit:.3g}, up for the policy, down for the bound:"
+            f" they differ by {found.gap:.1e}")  # fmt: skip
+    is_wide = found.gap > tolerance and found.status is Status.OPTIMAL
+    status = Status.TOLERANCE_MISSED if is_wide else found.status
+    return replace(found, status=status, note="; ".join(filter(None, (found.note, told))))
