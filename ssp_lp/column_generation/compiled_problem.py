@@ -800,11 +800,7 @@ class CompiledExplicit(CompiledProblem):
             return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
-            if self.is_trial:
-                cost, goal = self.facts.cost_and_goal(self.facts.directed)
-                typical = _ROUGHLY * cost / max(goal, 1e-300)
-            else:
-                typical = self.facts.typical_cost
+            typical = self.facts.typical_cost * (_ROUGHLY if self.is_trial else 1.0)
             layers = written_out.first_cap(self.base, self.charge, typical, self.fixed_cap)
         written_out.check_room(self.base, layers, self._most_pairs)
         return layers

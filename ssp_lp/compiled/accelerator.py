@@ -117,7 +117,7 @@ def accelerated(entries: float, *loops: str) -> bool:
     """
     wish = os.environ.get(SWITCH, "")
     if wish or not _is_installed():
-        return _is_usable(wish)
+        return wish != "none" and _is_usable(wish)
     share = (entries + _CALL) / len(loops)
     judged = [_loops.is_worth(loop, share) for loop in loops]
     return all(judged) and _is_usable(wish)
