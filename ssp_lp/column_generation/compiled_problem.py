@@ -495,9 +495,6 @@ class LayerAndTails:
         return total if self.by_sums else int(min(np.ceil(total / self.base.unit), 1e15))
 
 
-_UNPROVED = 1e-10
-"""Relative gap with least failure above which pairs are compared in twice the working precision."""
-
 ATTAINABLE = 1e-10
 """A bound this much below the least attainable total, relative to it, counts as equal to it."""
 
