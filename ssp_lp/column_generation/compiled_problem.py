@@ -495,9 +495,6 @@ class LayerAndTails:
         return total if self.by_sums else int(min(np.ceil(total / self.base.unit), 1e15))
 
 
-_UNPROVED = 1e-10
-"""Relative gap with least failure above which pairs are compared in twice the working precision."""
-
 ATTAINABLE = 1e-10
 """Relative distance of a bound below the least attainable total that counts as 0."""
 
@@ -800,11 +797,7 @@ class CompiledExplicit(CompiledProblem):
             return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
-            if self.is_trial:
-                cost, goal = self.facts.cost_and_goal(self.facts.directed)
-                typical = _ROUGHLY * cost / max(goal, 1e-300)
-            else:
-                typical = self.facts.typical_cost
+            typical = self.facts.typical_cost * (_ROUGHLY if self.is_trial else 1.0)
             layers = written_out.first_cap(self.base, self.charge, typical, self.fixed_cap)
         written_out.check_room(self.base, layers, self._most_pairs)
         return layers

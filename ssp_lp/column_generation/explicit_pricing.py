@@ -83,7 +83,7 @@ class ExplicitPricing(PricingProblem):
 
     no_gain: ClassVar[float] = 1e-14  # relative improvement by another pair that is rounding
 
-    @property
+    @cached_property
     def process(self) -> ExplicitProcess:
         """The explicit process."""
         return self.augmented.process

@@ -61,17 +61,16 @@ _RECORDED: Final = 0.02 * _RATE
 _RECORD: Final = "passed_over.json"
 
 
-def has_accelerator() -> bool:
+def has_accelerator(wish: str | None = None) -> bool:
     """Return whether numba is installed and not switched off, and load it.
+
+    Args:
+        wish: the value of the environment variable; None: it is read.
 
     Raises:
         ModelError: the environment variable has another value.
     """
-    return _is_usable(os.environ.get(SWITCH, ""))
-
-
-def _is_usable(wish: str) -> bool:
-    """Return whether numba is installed and not switched off, and load it."""
+    wish = os.environ.get(SWITCH, "") if wish is None else wish
     if wish not in ("", "numba", "none"):
         raise ModelError(f"{SWITCH} must be 'numba' or 'none', not {wish!r}")
     return wish != "none" and not _loops.is_given_up and _is_installed() and _load()
@@ -118,10 +117,10 @@ def accelerated(entries: float, *loops: str) -> bool:
     """
     wish = os.environ.get(SWITCH, "")
     if wish or not _is_installed():
-        return _is_usable(wish)
+        return wish != "none" and has_accelerator(wish)
     share = (entries + _CALL) / len(loops)
     judged = [_loops.is_worth(loop, share) for loop in loops]
-    return all(judged) and _is_usable(wish)
+    return all(judged) and has_accelerator(wish)
 
 
 def may_compile(loop: str) -> bool:

@@ -190,14 +190,16 @@ class Dynamics:
 
     def chain(self, choice: IntArray) -> System:
         """Return the equations of a policy, [states]; the last few are kept with factors."""
-        if self.n_states > _KEPT_STATES:
-            return self._chain(choice)
-        key, kept = choice.astype(np.int32, copy=False).tobytes(), self._chains
-        if key not in kept:
+        kept, is_kept = self._chains, self.n_states <= _KEPT_STATES
+        key = choice.astype(np.int32, copy=False).tobytes() if is_kept else b""
+        if is_kept and key in kept:
+            return kept[key]
+        chain = System(chosen_rows(self.transitions, choice), self.exits[choice])
+        if is_kept:
             if len(kept) >= _KEPT_CHAINS:
                 kept.pop(next(iter(kept)))
-            kept[key] = self._chain(choice)
-        return kept[key]
+            kept[key] = chain
+        return chain
 
     def restricted(self, kept: IntArray) -> Dynamics:
         """Return the dynamics with some pairs only, ascending, at least one for each state."""
@@ -209,10 +211,6 @@ class Dynamics:
             transitions=sp.csr_array(self.transitions[kept]),
             exits=self.exits[kept],
         )
-
-    def _chain(self, choice: IntArray) -> System:
-        """Build the equations of a policy."""
-        return System(chosen_rows(self.transitions, choice), self.exits[choice])
 
     @cached_property
     def _chains(self) -> dict[bytes, System]:

@@ -66,7 +66,7 @@ class System:
             matrix: probabilities of going on, [states, states].
             exits: probabilities of leaving for good, [states].
         """
-        self.matrix, self.exits = matrix, exits
+        self.matrix, self.exits, self.size = matrix, exits, len(exits)
         self.products = 0  # passes over the matrix
         self.kept_runs: FloatArray | None = None  # checked run lengths, see ``evaluate_chain``
         self._large: dict[int, LargeComponent] = {}
@@ -75,11 +75,6 @@ class System:
     def __reduce__(self) -> tuple[type[System], tuple[sp.csr_array, FloatArray]]:
         """Copy and pickle the equations without factors, which are computed again."""
         return System, (self.matrix, self.exits)
-
-    @property
-    def size(self) -> int:
-        """Number of states."""
-        return len(self.exits)
 
     @property
     def n_entries(self) -> int:
@@ -103,14 +98,9 @@ class System:
         return any(block.is_solved_reward_by_reward for block in self._large.values())
 
     @cached_property
-    def home(self) -> IntArray:
-        """Number of each state, which is its row, [states]."""
-        return np.arange(self.size, dtype=np.int32)
-
-    @property
     def moves(self) -> Moves:
-        """The chain as a process of one pair per state."""
-        return Moves(self.home, self.matrix, self.exits)
+        """The chain as a process of one pair per state, whose number is its row."""
+        return Moves(np.arange(self.size, dtype=np.int32), self.matrix, self.exits)
 
     @cached_property
     def closed(self) -> IntArray:
@@ -214,7 +204,7 @@ class System:
     def _transposed_factors(self) -> tuple[IntArray, sp.linalg.SuperLU]:
         """Order of the states, and sparse factors for the transposed equations."""
         if self.components.largest > EXACTLY_SOLVED:
-            return self.home, factorised(equations(self.matrix, self.exits))
+            return self.moves.home, factorised(equations(self.matrix, self.exits))
         order = self.components.order
         return order, factorised(equations(self.matrix, self.exits, order), in_order=True)
 
@@ -295,7 +285,7 @@ class System:
         strong, rows = self.components, self.matrix
         stuck = solve_by_elimination(
             unsigned(rows.indptr), unsigned(rows.indices), rows.data, self.exits,
-            unsigned(self.home),
+            unsigned(self.moves.home),
             unsigned(strong.order), strong.offsets, first, last,
             int(strong.sizes[first:last].max(initial=1)), rewards, x,
         )  # fmt: skip

@@ -83,15 +83,15 @@ def _is_on_rounded_costs(case: Case) -> bool:
     return problem.semantics.counts_law and not problem.has_rows
 
 
-def _is_split(case: Case) -> bool:
-    """Return whether costs are split: case S with too many sums."""
-    return not case.by_program and is_split(case.problem, case.seconds)
-
-
 APPROACHES = (
     _Approach(lambda case: case.by_game, solve_by_game, prove_within_budget),
     _Approach(_is_on_rounded_costs, solve_on_rounded_costs, prove_by_units, afresh=True),
-    _Approach(_is_split, solve_on_split_costs, prove_by_units, afresh=True),
+    _Approach(
+        lambda case: not case.by_program and is_split(case.problem, case.seconds),
+        solve_on_split_costs,
+        prove_by_units,
+        afresh=True,
+    ),
     _Approach(
         lambda case: case.problem.semantics.risk is not None, least_risk, prove_risk, afresh=True
     ),

@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property, wraps
-from itertools import count
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
 
 Fact = TypeVar("Fact")
 
-_TURNS = 1_000  # of a search, between two checks of the time
 _FAR = np.iinfo(np.int32).max - 1  # distance of states that cannot be reached
 _MANY_OUTCOMES = 128_000  # from which a short search saves a round of long ones
 _SEARCH = "graphs.take_from_queue"  # the compiled search
@@ -400,11 +398,8 @@ def _drain_one_by_one(
     before, waiting = model.predecessors, deque(closed_states.tolist())
     is_open, counts = open_pairs.data, open_counts.data  # faster entry by entry
     home_of, offsets = model.pair_state.data, before.offsets.data
-    for turn in count():
-        if not 0 < len(waiting) < _FEW:
-            break
-        if turn % _TURNS == 0:
-            check_time()
+    while 0 < len(waiting) < _FEW:
+        check_time()
         state = waiting.popleft()
         for pair in before.pairs[offsets[state] : offsets[state + 1]].tolist():
             if is_open[pair]:
