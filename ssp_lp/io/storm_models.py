@@ -356,4 +356,4 @@ def _check_sparse(model: Any, source: str) -> None:
     if model.supports_parameters or model.supports_uncertainty or model.is_exact:
         other = "intervals" if model.supports_uncertainty else "fractions"
         numbers = "parameters" if model.supports_parameters else other
-        raise ModelError(f"{source} has numbers of type {numbers}: build it with floats")
+        raise ModelError(f"the numbers of {source} are {numbers}: build it with floats")

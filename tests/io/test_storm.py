@@ -323,8 +323,8 @@ def test_models_that_are_no_decision_processes_in_floats_are_refused(tmp_path):
     with_p, _ = stormpy.instantiate_constants(program, "N=2")
     ready, _ = stormpy.instantiate_constants(program, "N=2,p=0.5")
     for words, model, goal in (
-        ("parameters as numbers", stormpy.build_model[stormpy.RationalFunction](with_p), "done"),
-        ("has fractions as numbers", stormpy.build_model[stormpy.Rational](ready), "done"),
+        ("are parameters: build it", stormpy.build_model[stormpy.RationalFunction](with_p), "done"),
+        ("are fractions: build it", stormpy.build_model[stormpy.Rational](ready), "done"),
         ("is symbolic", stormpy.build_symbolic_model(ready), "done"),
         ("must be a model of stormpy, not dict", {}, "done"),
         ("no state has the label 'doen'", stormpy.build_model(ready), "doen"),

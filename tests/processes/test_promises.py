@@ -337,7 +337,7 @@ def test_the_robot_is_home_within_22_steps_with_95_percent():
         limits = {"in time": within(expected_cost(), 18) >= 0.95}
         late = criterion(model, start_state(grid), 0.05, constraints=limits)
         refused(
-            r"at most 0\.87519 under every policy, 0\.95 asked for",
+            r"at most 0\.87519 under every policy, 0\.95 required",
             solve,
             late,
             error=InfeasibleError,
@@ -374,7 +374,7 @@ def test_a_promise_that_cannot_be_kept_is_answered_by_what_can_be():
     moves = {"a": {"go": [(0.7, "g", 1.0), (0.3, "p", 1.0)]}, "p": {}}
     model = SSP.from_transitions(moves, goal={"g"}, dead_ends={"p"})
     limits = {"there": within(visits("a"), 1) >= 0.9}
-    told = "'there' is at most 0.7 under every policy, 0.9 asked for"
+    told = "'there' is at most 0.7 under every policy, 0.9 required"
     for method in ("columns", "lp"):
         problem = MCMP(model, "a", 1.0, constraints=limits)
         refused(told, solve, problem, method, error=InfeasibleError)
