@@ -257,6 +257,15 @@ def test_a_bound_is_none_of_more_than_is_paid_where_the_goal_is_rare(weight):
     assert reply.bound == pytest.approx(known, rel=1e-9)
 
 
+def test_a_budget_below_the_least_failure_is_refused_where_the_goal_is_rare():
+    """The goal is reached with 2e-5, one step ahead: 0.9 times that at most, and not 2.25e-5."""
+    model = model_of({"x": {"slow": [(2e-5, "g", 8.0), (1 - 2e-5, "d", 1.0)]}, "d": {}})
+    with pytest.raises(InfeasibleError):
+        solve(S3P(model, "x", failure_budget=1 - 2.25e-5, discount=0.9), method="game")
+    attained = solve(S3P(model, "x", failure_budget=1 - 1.75e-5, discount=0.9), method="game")
+    assert attained.objective == pytest.approx(8.0 / 0.9, rel=1e-9)
+
+
 def test_the_sweeps_of_every_table_are_counted(monkeypatch):
     """A player that needs a larger table than the first says how much it did for both."""
     model = model_of({"x": {"go": [(0.9, "x", 1.0), (0.05, "g", 1.0), (0.05, "d", 1.0)]}, "d": {}})
