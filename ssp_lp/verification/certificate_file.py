@@ -49,6 +49,7 @@ from ssp_lp.verification.prove import Bounds, RefusedError, number
 
 _CAPS, _NARROW = 12, 1e-10  # number of caps to try, and the relative width that ends the trials
 _MOST_NODES = 2_000_000
+_STEEP = 1000.0  # price of failing with least failure, times 1 + |objective|
 _FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
 _IN_MEMORY = ": certify(solution) proves it in memory"
@@ -470,7 +471,8 @@ def _best_proof(
         nodes = Nodes(program_of(asked, statement, cap), len(statement.model))
         first = solved.policy.policies if step != "least" else ()
         members = [nodes.member(_decider(nodes, one, solved)) for one in first]
-        proof, bounds = proof_of(nodes, members)
+        prices = _prices(nodes.program, solved, is_main=step == "main")
+        proof, bounds = proof_of(nodes, members, prices)
         widths.append(float(bounds.upper - bounds.lower) / (1 + abs(float(bounds.upper))))
         if len(widths) == 2 or widths[-1] < widths[-2]:
             best = proof, bounds
@@ -480,6 +482,17 @@ def _best_proof(
             break
         cap *= 2
     return best
+
+
+def _prices(program: Program, solved: Solution, *, is_main: bool) -> list[Fraction]:
+    """Return the solution's prices of rows as first prices; failure's price includes the ratio."""
+    of_failure, asked = solved.failure_price, program.question
+    if of_failure is None or not math.isfinite(of_failure):
+        of_failure = _STEEP * (1.0 + abs(solved.objective)) * (asked["failure"][1] < 1)
+    given = [of_failure, *(solved.prices.get(row.name, 0.0) for row in program.rows[1:])]
+    prices = [is_main * Fraction(text_of(max(price, 0.0))) for price in given]
+    prices[0] += Fraction(text_of(solved.objective)) * asked["ratio"] * is_main
+    return prices
 
 
 def _first_cap(asked: Mapping[str, Any], solved: Solution) -> Fraction:

@@ -431,12 +431,15 @@ def lower_bound(
     return bound / goal if goal > 0 else None
 
 
-def proof_of(nodes: Nodes, first: Sequence[Member]) -> tuple[list[bytes], Bounds]:
+def proof_of(
+    nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]
+) -> tuple[list[bytes], Bounds]:
     """Find the best proof of a program: generate columns until both bounds agree.
 
     Args:
         nodes: nodes of the program.
-        first: members of a nearly optimal lottery, whose prices are nearly optimal.
+        first: members of a nearly optimal lottery, which has exact prices if it draws.
+        prices: nearly optimal prices, used first if a single member is the best lottery.
 
     Returns:
         The lines of the proof in a file, and the interval that it proves.
@@ -447,8 +450,8 @@ def proof_of(nodes: Nodes, first: Sequence[Member]) -> tuple[list[bytes], Bounds
     program, rows, ratio = nodes.program, nodes.program.rows, bool(nodes.program.question["ratio"])
     members = {frozenset(one.decision.items()): one for one in first}
     most, less, far, is_new = [row.most for row in rows], _LESS, Fraction(1), True
-    best: tuple[Fraction, list[Fraction], dict[int, int]] | None = None
-    prices, lower, lottery = [ZERO] * len(rows), None, _Lottery([], [ZERO] * len(rows), ZERO)
+    best: tuple[Fraction, Sequence[Fraction], dict[int, int]] | None = None
+    is_exact, lower, lottery = False, None, _Lottery([], [ZERO] * len(rows), ZERO)
     for turn in range(_ROUNDS):
         if members:
             totals = [one.totals for one in members.values()]
@@ -456,11 +459,11 @@ def proof_of(nodes: Nodes, first: Sequence[Member]) -> tuple[list[bytes], Bounds
         if lottery.weights and not (turn and lower is None and not is_new):
             width = ONE if best is None else lottery.value + program.objective.constant - best[0]
             enough = (_NARROW if nodes.size > _MANY else _LESS) * (1 + abs(lottery.value))
-            if width <= enough or not is_new:
+            if width <= enough or (is_exact and not is_new):
                 break
-            prices, less = list(map(_of_few_digits, lottery.prices)), _LESS
-            if ratio:
-                prices[0] += lottery.value * (1 - _LESS * (most[0] >= 1))
+            if is_exact := turn > 0 or sum(map(bool, lottery.weights)) > 1:
+                prices, less = list(map(_of_few_digits, lottery.prices)), _LESS
+                prices[0] += ratio * lottery.value * (1 - _LESS * (most[0] >= 1))
         elif lottery.weights:  # try to prove a slightly smaller ratio
             prices, less = [_of_few_digits(prices[0] * (1 - less)), *prices[1:]], less * 10**4
         elif members:

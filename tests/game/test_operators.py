@@ -242,6 +242,45 @@ def test_a_detour_of_greater_goal_probability_is_no_tail():
     assert stationary_game(tight, tail=1).objective == pytest.approx(2.5, rel=1e-12)
 
 
+@pytest.mark.parametrize("weight", [1.0, 10.0, 100.0])
+def test_a_bound_is_none_of_more_than_is_paid_where_the_goal_is_rare(weight):
+    """J_cond counts from 1: 3e-5 or 16e-5 is paid for reaching the goal with 0.9e-5 or 1.8e-5."""
+    risk = {"go": [(1e-5, "g", 3.0), (1 - 1e-5, "d", 1.0)]}
+    model = model_of({"x": risk | {"slow": [(2e-5, "g", 8.0), (1 - 2e-5, "d", 1.0)]}, "d": {}})
+    player = stationary_player(S3P(model, "x", failure_budget=0.999995, discount=0.9))
+    reply, known = (
+        player.response(1.0, weight, 1e-9),
+        min(3e-5 - 0.9e-5 * weight, 16e-5 - 1.8e-5 * weight),
+    )
+    assert reply.origin == 1.0
+    assert reply.payoff(1.0, weight) == pytest.approx(known, rel=1e-9)
+    assert reply.bound == pytest.approx(known, rel=1e-9)
+
+
+def test_a_budget_below_the_least_failure_is_refused_where_the_goal_is_rare():
+    """The goal is reached with 2e-5, one step ahead: 0.9 times that at most, and not 2.25e-5."""
+    model = model_of({"x": {"slow": [(2e-5, "g", 8.0), (1 - 2e-5, "d", 1.0)]}, "d": {}})
+    with pytest.raises(InfeasibleError):
+        solve(S3P(model, "x", failure_budget=1 - 2.25e-5, discount=0.9), method="game")
+    attained = solve(S3P(model, "x", failure_budget=1 - 1.75e-5, discount=0.9), method="game")
+    assert attained.objective == pytest.approx(8.0 / 0.9, rel=1e-9)
+
+
+def test_the_sweeps_of_every_table_are_counted(monkeypatch):
+    """A player that needs a larger table than the first says how much it did for both."""
+    model = model_of({"x": {"go": [(0.9, "x", 1.0), (0.05, "g", 1.0), (0.05, "d", 1.0)]}, "d": {}})
+    player, tables = stationary_player(S3P(model, "x", failure_budget=0.9, discount=0.99)), []
+    sweep = type(player)._swept
+
+    def counted(self, *given):
+        tables.append(sweep(self, *given))
+        return tables[-1]
+
+    monkeypatch.setattr(type(player), "_swept", counted)
+    assert player.response(1.0, 100.0, 1e-12).sweeps == sum(table.sweeps for table in tables)
+    assert len(tables) > 1
+
+
 @pytest.mark.parametrize("alpha", [0.2, 0.5, 0.9])
 def test_the_operators_of_case_s(alpha):
     """Sections 3.3 and 3.5.1 on RETRY; pi'_or is ``rush``.

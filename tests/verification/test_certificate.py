@@ -38,6 +38,7 @@ from ssp_lp import (
     write_certificate,
 )
 from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.verification import exact_proof
 from ssp_lp.verification.certify import certificate_of
 from ssp_lp.verification.exact_proof import best_lottery
 from ssp_lp.verification.prove import EXCESS, Row
@@ -357,6 +358,16 @@ def test_a_quantile_without_a_limit_of_failure_needs_failing_surely_to_the_last_
     problem = CostQuantile(model_of({"x": way, "y": risk, "d": {}}), "x", 0.8, 1.0)
     written = write_certificate(solve(problem), tmp_path / "one")
     assert (written.lower, written.upper) == (0, 0)
+
+
+def test_a_program_too_large_to_keep_is_proved_alike(tmp_path, monkeypatch):
+    """Columns at totals are built when they are needed; the bounds agree but for the room."""
+    solution = solve(S3P(MAZE, "start", 0.1))
+    kept = write_certificate(solution, tmp_path / "one")
+    monkeypatch.setattr(exact_proof, "_MANY", 0)
+    built = write_certificate(solution, tmp_path / "two")
+    assert max(kept.lower, built.lower) <= min(kept.upper, built.upper)
+    assert built.upper - built.lower <= Fraction(1, 10**9)
 
 
 @pytest.mark.parametrize("written", [True, False])

@@ -269,6 +269,18 @@ def test_a_wrong_reading_of_the_model_is_seen(tmp_path, monkeypatch):
             error=SolverError)  # fmt: skip
 
 
+@pytest.mark.parametrize("price", [0.0, 5.0, 20.0, 1000.0])
+@pytest.mark.parametrize(
+    ("problem", "known"), [(MCMP(ROAD, "road", 0.05), 2), (S3P(ROAD, "road"), 3),
+                           (MCMP(ROAD, "road", 0.1), 1), (S3P(ROAD, "road", 0.1), 1)],
+)  # fmt: skip
+def test_any_price_leads_to_the_optimum(price, problem, known, tmp_path):
+    """Whether the optimum is a lottery, the safe road, or the fast one, which just may be taken."""
+    solution = replace(solve(problem), prices={"failure": price}, failure_price=price)
+    written = write_certificate(solution, tmp_path / "one", tolerance=1e3)
+    assert written.lower <= known <= written.upper <= written.lower + Fraction(1, 10**20)
+
+
 def test_a_proof_is_better_than_a_solution_that_was_cut_short(tmp_path):
     """The safe road costs 3 and the fast one arrives with 0.9; the file proves 2, and 1."""
     safe, fast = (solve(MCMP(ROAD, "road", budget)).policy for budget in (0.0, 1.0))

@@ -513,6 +513,13 @@ def test_a_headline_is_made_of_the_question_alone(tmp_path):
         "least 1 cost 0; from 's' (1); failure 1/20; horizon 3; give_up dead_ends; the failing "
         "step charged; 'time': 1 cost 0 at most 2"
     )
+    dearer = {**asked, "objective": {**COST, "constant": "2"}}
+    assert "least 1 cost 0 + 2; from" in verdict(tmp_path / "x", [STEP, GOAL], told, **dearer).asked
+
+
+def test_what_is_no_file_is_refused():
+    refused = check_certificate(b"one")
+    assert (refused.accepted, refused.reason[:29]) == (False, "bytes is not a path of a file")
 
 
 def test_a_reason_is_no_longer_than_can_be_read(tmp_path):
