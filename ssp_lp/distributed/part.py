@@ -137,13 +137,13 @@ def made_part(
         remote = inside & ((successors < first) | (successors >= end))
         away = goals[:1][(goals[:1] < first) | (goals[:1] >= end)]  # each part has a goal
         ghosts = np.union1d(successors[remote], away).astype(np.int64)
-        places = np.where(inside, successors - first, -1)  # invalid states are reported below
+        places = np.where(inside, successors - first, -1).astype(np.int32)  # -1 is refused
         places[remote] = n_own + np.searchsorted(ghosts, successors[remote])
         numbers = np.append(np.arange(first, end), ghosts)
         arrays: dict[str, Any] = {
             "pair_offsets": offsets_of(np.append(own.actions, np.zeros(len(ghosts), np.int64))),
             "outcome_offsets": offsets_of(np.asarray(own.outcomes)),
-            "successors": places.astype(np.int32),
+            "successors": places,
             "goal_states": np.flatnonzero(np.isin(numbers, goals)),
             "treat_actionless_as_dead_ends": True,
             "probabilities": own.probabilities,

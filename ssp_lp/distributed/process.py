@@ -117,10 +117,12 @@ class _Equations:
         place[order] = np.arange(halo.n_own)
         numbers = halo.filled(halo.first + place).astype(petsc.IntType)
         shape = halo.n_own, halo.n_all
-        step = sp.csr_array((rows.data, numbers[rows.indices], rows.indptr), shape=shape)[order]
+        here, parts = halo.first, (rows.data, numbers[rows.indices], rows.indptr)
         # scipy adds up duplicates, of which PETSc would keep the last
-        rows = sp.csr_array(sp.eye(*shape, k=halo.first, format="csr")) - step
-        csr = rows.indptr.astype(petsc.IntType), rows.indices.astype(petsc.IntType), rows.data
+        unit = sp.csr_array(sp.eye(*shape, k=here, format="csr"))
+        rows = unit - sp.csr_array(parts, shape=shape)[order]
+        places = (part.astype(petsc.IntType, copy=False) for part in (rows.indptr, rows.indices))
+        csr = *places, rows.data
         matrix = petsc.Mat().createAIJ(size=(shape, shape), csr=csr, comm=halo.ranks.comm)
         ksp, is_small = petsc.KSP().create(halo.ranks.comm), halo.n_all <= DIRECT_STATES
         ksp.setOperators(matrix)
