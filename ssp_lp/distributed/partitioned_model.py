@@ -107,7 +107,7 @@ class PartitionedModel:
 
         Args:
             rows: ``rows(first, end)`` returns the rows of the states first .. end - 1, as arrays;
-                each rank calls it for a sample of single states, then for its own states.
+                each rank calls it for samples of a few states, then for its own states.
             n_states: number of states.
             goal_states: numbers of the goal states, which have no actions.
             state_labels: names for sets of states, each given by the numbers of its states.
