@@ -284,7 +284,7 @@ LINES = {
     "ssp_lp/analysis": 1_635,
     "ssp_lp/column_generation": 2_241,
     "ssp_lp/compiled": 1_679,
-    "ssp_lp/distributed": 971,
+    "ssp_lp/distributed": 972,
     "ssp_lp/dynamic_programming": 1_931,
     "ssp_lp/game": 1_001,
     "ssp_lp/io": 2_897,
