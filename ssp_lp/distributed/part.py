@@ -12,6 +12,7 @@ from array import array
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from ssp_lp.model.graph import Graph
 from ssp_lp.model.state_rows import Rows, checked_rows
 
 _MIXER, _HALF = np.uint64(0x9E3779B97F4A7C15), np.uint64(32)  # odd, pseudo-random
-_PROBES = 256  # states that are sampled to estimate the number of outcomes
+_PROBES, _STATES = 128, 64  # samples, and most states of each, to estimate numbers of outcomes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,13 +138,13 @@ def made_part(
         remote = inside & ((successors < first) | (successors >= end))
         away = goals[:1][(goals[:1] < first) | (goals[:1] >= end)]  # each part has a goal
         ghosts = np.union1d(successors[remote], away).astype(np.int64)
-        places = np.where(inside, successors - first, -1)  # invalid states are reported below
+        places = np.where(inside, successors - first, -1).astype(np.int32)  # -1 is refused
         places[remote] = n_own + np.searchsorted(ghosts, successors[remote])
         numbers = np.append(np.arange(first, end), ghosts)
         arrays: dict[str, Any] = {
             "pair_offsets": offsets_of(np.append(own.actions, np.zeros(len(ghosts), np.int64))),
             "outcome_offsets": offsets_of(np.asarray(own.outcomes)),
-            "successors": places.astype(np.int32),
+            "successors": places,
             "goal_states": np.flatnonzero(np.isin(numbers, goals)),
             "treat_actionless_as_dead_ends": True,
             "probabilities": own.probabilities,
@@ -171,15 +172,16 @@ def made_part(
 def balanced_bounds(ranks: Ranks, rows: Rows, n_states: int) -> IntArray:
     """Return bounds of the ranks' states with about equal numbers of outcomes, [ranks + 1].
 
-    The numbers are estimated from a sample of states, which the ranks share.
+    The numbers are estimated from samples of states, which the ranks share.
 
     Raises:
         ModelError: a row of the sample is invalid.
     """
     rank, size = ranks.comm.rank, ranks.comm.size
     ends = np.unique(np.linspace(0, n_states, _PROBES + 1).astype(np.int64))
-    tried, work = ends[:-1][rank::size].tolist(), np.zeros(len(ends))
-    some = ranks.agreed(lambda: [np.sum(checked_rows(rows, k, k + 1).outcomes) for k in tried])
-    work[1:][rank::size] = 1.0 + np.array(some)
+    pieces = [(k, min(k + _STATES, end)) for k, end in pairwise(ends.tolist())][rank::size]
+    some = ranks.agreed(lambda: [np.sum(checked_rows(rows, *own).outcomes) for own in pieces])
+    work = np.zeros(len(ends))
+    work[1:][rank::size] = 1.0 + np.array(some) / np.diff(pieces).ravel()
     done = np.cumsum(ranks.total(work) * np.diff(ends, prepend=0))
     return np.interp(np.linspace(0.0, done[-1], size + 1), done, ends).astype(np.int64)

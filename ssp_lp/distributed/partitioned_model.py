@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -30,14 +29,13 @@ from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.model.continuous_model import ContinuousModel
 from ssp_lp.model.discretise import MIDPOINTS, Quadrature, discretised_rows
-from ssp_lp.model.state_rows import Rows, StateRows, joined_outcomes
+from ssp_lp.model.state_rows import Rows, StateRows
 from ssp_lp.options import ColumnGeneration, Progress, SolveOptions, options_of
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Run
 
-_PIECE = 1 << 14  # number of cells that are discretised at a time
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
 _AGAIN = 3  # number of policies of an earlier run that are evaluated first
 _FINER = 1e-3  # factor of the tolerance if a complement is minimised, which may be much larger
@@ -109,7 +107,7 @@ class PartitionedModel:
 
         Args:
             rows: ``rows(first, end)`` returns the rows of the states first .. end - 1, as arrays;
-                each rank calls it for a sample of single states, then for its own states.
+                each rank calls it for samples of a few states, then for its own states.
             n_states: number of states.
             goal_states: numbers of the goal states, which have no actions.
             state_labels: names for sets of states, each given by the numbers of its states.
@@ -155,11 +153,9 @@ class PartitionedModel:
         """
 
         def rows(first: int, end: int) -> StateRows:
-            """Return the rows of cells, and of the ends numbered after them, computed in pieces."""
-            begins = [*range(first, end, _PIECE)] or [first]
-            made = [discretised_rows(world, points, *own) for own in pairwise([*begins, end])]
-            actions, outcomes = zip(*made, strict=True)
-            return StateRows(np.concatenate(actions), *joined_outcomes(outcomes))
+            """Return the rows of cells, and of the ends numbered after them."""
+            actions, outcomes = discretised_rows(world, points, first, end)
+            return StateRows(actions, *outcomes)
 
         if not isinstance(world, ContinuousModel):
             raise wrong_argument("world", "be a ContinuousModel", world)

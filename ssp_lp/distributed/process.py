@@ -52,7 +52,7 @@ _GATHERED = 1_000_000  # most entries of a policy's rows that are gathered for a
 _PLAIN = 1e-13  # accuracy up to which residuals in working precision suffice
 _ROUGH = 1e-6  # accuracy of a policy's values while its pairs still change
 _SWEEPS, _EXCHANGED = 8, 4  # sweeps between two evaluations, and between two exchanges
-_MOST_ROUNDS = 1_000  # most rounds of policy iteration
+_ROUGH_ROUNDS, _MOST_ROUNDS = 20, 1_000  # rounds of policy iteration: roughly, and in all
 _SHRUNK = (0.0, *10.0 ** np.arange(-13.0, 0.0))  # shares by which values move to the floor
 _BELOW = 0.1  # share of that share by which all values are lowered
 _LOWERINGS = 160  # sweeps of lowering, after which a larger share is tried
@@ -117,10 +117,12 @@ class _Equations:
         place[order] = np.arange(halo.n_own)
         numbers = halo.filled(halo.first + place).astype(petsc.IntType)
         shape = halo.n_own, halo.n_all
-        step = sp.csr_array((rows.data, numbers[rows.indices], rows.indptr), shape=shape)[order]
+        here, parts = halo.first, (rows.data, numbers[rows.indices], rows.indptr)
         # scipy adds up duplicates, of which PETSc would keep the last
-        rows = sp.csr_array(sp.eye(*shape, k=halo.first, format="csr")) - step
-        csr = rows.indptr.astype(petsc.IntType), rows.indices.astype(petsc.IntType), rows.data
+        unit = sp.csr_array(sp.eye(*shape, k=here, format="csr"))
+        rows = unit - sp.csr_array(parts, shape=shape)[order]
+        places = (part.astype(petsc.IntType, copy=False) for part in (rows.indptr, rows.indices))
+        csr = *places, rows.data
         matrix = petsc.Mat().createAIJ(size=(shape, shape), csr=csr, comm=halo.ranks.comm)
         ksp, is_small = petsc.KSP().create(halo.ranks.comm), halo.n_all <= DIRECT_STATES
         ksp.setOperators(matrix)
@@ -261,14 +263,15 @@ class PartitionedProcess(PricingProblem):
         choice, totals = np.asarray(best.choice), np.asarray(best.totals)
         cost, values = weighted(self.rewards, weights), weighted(totals[:, :-1], weights)
         work, accuracy = Work(), _ROUGH
-        for _ in range(_MOST_ROUNDS):
+        for done in range(1, _MOST_ROUNDS + 1):
+            accuracy = accuracy if done < _ROUGH_ROUNDS else EXACT
             choice = self._swept(cost, choice, values)
             equations = self._leaving_equations(choice, values)
             values, _ = equations.solve(cost[equations.choice], values, accuracy)
             equations.values = values
             better = self._better(cost, values, equations.choice, accuracy)
-            work += Work(1 + _SWEEPS, equations.products)
-            if better is not None:
+            work += Work(1 + _SWEEPS, 0 if better is None else equations.products)
+            if better is not None and done < _MOST_ROUNDS:
                 equations.clear()
                 choice = better
                 continue
