@@ -280,7 +280,7 @@ LINES = {
     "formulations": 420,
     "formulations/command_line": 838,
     "ssp_lp": 2_219,
-    "ssp_lp/accumulated_cost": 2_777,
+    "ssp_lp/accumulated_cost": 2_778,
     "ssp_lp/analysis": 1_635,
     "ssp_lp/column_generation": 2_241,
     "ssp_lp/compiled": 1_740,

@@ -64,7 +64,7 @@ values of the same shape, which ask for the best bound: one more sweep."""
 _MOST_CELLS = 8_000_000
 """Most nodes times layers ahead, four numbers each, of a compiled pass."""
 
-_MOST_ENTRIES = 100_000
+_MOST_ENTRIES = 30_000
 """Entries of a layer without free steps from which one call for each layer costs little."""
 
 _FEW_CELLS = 1_000_000
@@ -528,7 +528,8 @@ class Sweep:
         process, base = self.process, self.process.base
         cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
         by_blocks = self.block >= _LEAST_BLOCK
-        is_long = self.is_acyclic and base.later.nnz > _MOST_ENTRIES and not by_blocks
+        few = _MOST_ENTRIES * (1 if process.grows_evenly else 2)  # charges of a layer take time
+        is_long = self.is_acyclic and base.later.nnz > few and not by_blocks
         if cells > _MOST_CELLS or is_long or base.n_nodes == 0:
             return None
         loop = "layers.sweep_blocks" if by_blocks else "layers.sweep_layers"
