@@ -19,8 +19,9 @@ transitions, several GB.
 
 `pip install '.[compare]'` brings the peers. What is not installed is a row that says so.
 `--quick`, the default, takes about a minute: the paper's robot and published domains, a solver of
-each kind. `--full` takes about an hour, mostly for solvers that reach the time limit; such a solver
-is not tried on larger instances of the same kind.
+each kind; `--page docs/performance.md` puts its table on that page. `--full` takes about an hour,
+mostly for solvers that reach the time limit; such a solver is not tried on larger instances of the
+same kind.
 """
 
 import argparse
@@ -42,6 +43,7 @@ from examples.solver_comparison.measuring.machine import describe_machine, machi
 from examples.solver_comparison.measuring.memory import physical_memory
 from examples.solver_comparison.measuring.process import Limits, python_command, watch
 from examples.solver_comparison.reporting.growth import growth_text
+from examples.solver_comparison.reporting.page import page_text, put_on_page
 from examples.solver_comparison.reporting.results import (
     Outcome,
     SolverRun,
@@ -81,6 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> list[SolverRun]:
         text = f"{machine_text(results['machine'])}\n\n{table}\n"
         (options.output / "comparison.txt").write_text(text, encoding="utf-8")
         print(f"\n{table}")
+        if options.page is not None:
+            put_on_page(options.page, page_text(results["machine"], runs))
         _draw(runs, options.output)
     if growth := growth_text(runs):
         print(f"\nColumn generation from refinement to refinement\n{growth}")
@@ -206,6 +210,8 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--bandwidth", action=argparse.BooleanOptionalAction, default=True,
         help="measure a Bellman sweep against the memory's bandwidth")  # fmt: skip
     add("--frontier", action="store_true", help="trace the frontier of the instances instead")
+    add("--page", type=Path, help="a Markdown page to put the table on, such as "
+        "docs/performance.md")  # fmt: skip
     add("--output", type=Path, default=Path("comparison_output"), help="folder")
     options = parser.parse_args(arguments)
     _fill_in(options, known)
@@ -213,6 +219,8 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         options.instances = [parse_instance(name).name for name in options.instances]
     except ValueError as error:
         parser.error(str(error))
+    if options.page is not None and not options.page.is_file():
+        parser.error(f"there is no page {options.page}")
     options.output.mkdir(parents=True, exist_ok=True)
     return options
 

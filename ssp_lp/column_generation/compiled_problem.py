@@ -614,7 +614,7 @@ class CompiledExplicit(CompiledProblem):
         column = second.minimise(0.0)
         bound = second.prove(0.0, column).bound
         policy = second.policy(column)
-        foreign = replace(column, choice=None, found_at=None, policy=policy)
+        foreign = replace(column, choice=None, totals=None, found_at=None, policy=policy)
         proved = self.proved_failure(greatest, column.failure)
         return LeastFailure(policy, foreign, bound, proved)
 

@@ -4,6 +4,7 @@ import json
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -19,6 +20,7 @@ from examples.solver_comparison.measuring import worker
 from examples.solver_comparison.measuring.memory import process_memory
 from examples.solver_comparison.measuring.process import Limits, watch
 from examples.solver_comparison.reporting.growth import growth_text
+from examples.solver_comparison.reporting.page import BEGIN, END, page_text, put_on_page
 from examples.solver_comparison.reporting.results import (
     Outcome,
     SolverRun,
@@ -274,6 +276,32 @@ def test_the_summary_gives_geometric_means_and_shows_the_worst_rows_first():
         "random-400-M           highs-ipx        0.5 times its limit of 4 s",
     ]
     assert summary_text(ours) == ""
+
+
+def test_the_comparison_is_put_on_a_page_with_the_machine_and_the_worst_rows(tmp_path):
+    runs = [
+        solved("columns", 2.0, transitions=1_500),
+        solved("storm", 1.0),
+        SolverRun(SMALL, "highs-ipx", Outcome.TIME_OUT, 60.0),
+        SolverRun(SMALL, "scikit-decide", Outcome.NOT_INSTALLED, 60.0),
+    ]
+    machine = {"cores": 2, "memory_gb": 24.0, "system": "Linux", "python": "3.11", "packages": {}}
+    text = page_text(machine, runs)
+    assert text.startswith("2 cores, 24 GB, Linux, Python 3.11")
+    assert "| instance | outcomes | columns | storm | highs-ipx |" in text
+    assert f"| {SMALL} | 1,500 | 2 | **1** | > 60 |" in text
+    assert "storm            2 times its 1 s" in text
+    page = tmp_path / "page.md"
+    page.write_text(f"before {BEGIN} old {END} after")
+    put_on_page(page, text)
+    assert page.read_text() == f"before {BEGIN}\n\n{text}\n\n{END} after"
+    page.write_text("nothing")
+    refused("has no part between", put_on_page, page, text, error=ValueError)
+
+
+def test_the_page_on_performance_takes_a_comparison():
+    text = (Path(__file__).parents[2] / "docs" / "performance.md").read_text(encoding="utf-8")
+    assert 0 < text.index(BEGIN) < text.index(END)
 
 
 def test_published_domains_are_instances():

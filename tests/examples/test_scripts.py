@@ -7,6 +7,7 @@ import runpy
 import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 
 import ssp_lp.io
 from examples.domains.inventory import START, season, table
-from examples.formulating import drone, many_problems, near_goal
+from examples.formulating import drone, many_problems, near_goal, ppddl_file
 from examples.formulating.real_costs import LAWS, LEVELS, main as real_costs
 from examples.formulating.toy_texts import TASKS
 from examples.paper_walkthrough import cross_check
@@ -216,3 +217,12 @@ def test_a_notebook_runs_in_at_most_forty_lines_and_says_what_it_shows(path, mon
         for told in re.findall(r"objective c\*\s+\S+", "\n".join(printed)):
             assert told in shown
     plt.close("all")
+
+
+def test_a_task_in_ppddl_is_explored_where_its_reader_is_installed(capsys):
+    solution = ppddl_file.main([])
+    if find_spec("skdecide") is None:
+        assert solution is None
+        assert capsys.readouterr().out.startswith("skipped: pip install")
+    else:  # half of the drives take the gorge: 1.8 and 3.4 steps
+        assert solution.objective == pytest.approx(2.6, rel=1e-9)

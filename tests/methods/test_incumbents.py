@@ -9,6 +9,7 @@ import pytest
 from examples.solver_comparison.instances.families import corridor, grid, layered, scattered
 from formulations import EGUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR
 from own_criteria import Lateness
+from small_models import model_of
 from ssp_lp import SSP, ModelError, OutOfTimeError, Status, certify, evaluate, solve, visits
 from ssp_lp.compiled import deadline
 from ssp_lp.compiled.deadline import Stop
@@ -244,3 +245,17 @@ def test_a_better_policy_from_beside_keeps_the_proof_of_the_search():
     proof = certify(improved)
     assert proof.accepted
     assert proof.lower_bound == pytest.approx(best.lower_bound, rel=1e-9)
+
+
+def test_the_policy_of_least_failure_proves_a_bound_where_it_is_found_on_a_smaller_process():
+    """Its totals are those of safest pairs alone: no state behind the bridge is among them."""
+    model = model_of(
+        {
+            "a": {"road": [(1.0, "g", 4.0)], "bridge": [(1.0, "b", 1.0)]},
+            "b": {"on": [(0.5, "g", 1.0), (0.5, "pit", 1.0)]},
+            "pit": {},
+        }
+    )
+    compiled = MCMP(model, "a", 0.2).compile()
+    proof = compiled.pricing().prove(100.0, compiled.least_failure().column)
+    assert proof.bound == pytest.approx(4.0, rel=1e-12)

@@ -8,7 +8,7 @@ from examples.solver_comparison.measuring.memory import physical_memory, usable_
 
 _PACKAGES = (
     "ssp-lp", "numpy", "scipy", "numba", "clarabel", "cvxpy", "highspy", "highspy-extras",
-    "stormpy",
+    "stormpy", "scikit-decide",
 )  # fmt: skip
 
 

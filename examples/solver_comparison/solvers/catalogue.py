@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-LIBRARY, HIGHS, STORM = (f"{__package__}.{name}" for name in ("library", "highs", "storm"))
+LIBRARY, HIGHS, STORM, SEARCH = (
+    f"{__package__}.{name}" for name in ("library", "highs", "storm", "scikit_decide")
+)
 PLAIN = {"SSP_LP_ACCELERATOR": "none"}
 """Without numba: a peer's memory is then its own, not that of compiling our model building."""
 COMPILED = {"SSP_LP_ACCELERATOR": "numba"}
@@ -81,7 +83,15 @@ def _storm(name: str, sound: bool, precision: str | None = None) -> Solver:
 GAME = "value iteration (game)"
 """The paper's own method, which needs a discount."""
 
-QUICK_SOLVERS = ("columns", GAME, "lp-cvxpy", "highs-ipx", "storm", "storm-sound")
+QUICK_SOLVERS = (
+    "columns",
+    GAME,
+    "lp-cvxpy",
+    "highs-ipx",
+    "storm",
+    "storm-sound",
+    "scikit-decide",
+)
 """Solvers of the comparison of a minute: one of each kind, and Storm with proved bounds."""
 
 SOLVERS = (
@@ -98,6 +108,14 @@ SOLVERS = (
     _storm("storm", sound=False),
     _storm("storm-sound", sound=True),
     _storm("storm-1e-9", sound=False, precision="1/1000000000"),
+    Solver(
+        "scikit-decide",
+        SEARCH,
+        package="skdecide",
+        pip="pip install scikit-decide",
+        environment=PLAIN,
+        cases="MPC",
+    ),
 )
 """The solvers that are always compared; the methods of a later release join them."""
 
