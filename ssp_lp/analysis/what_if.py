@@ -544,7 +544,9 @@ class _Optimum:
         from ssp_lp.linear_programming.highs import minimiser
 
         program, prices = self.measure.program, self.measure.prices
-        linear, best = program.linear, self.duals.reduced_costs <= ROUNDING * self.size
+        own = 1.0 + np.abs(self.duals.states[program.process.pair_state])  # a far price may be huge
+        linear, best = program.linear, self.duals.reduced_costs <= ROUNDING * own
+        best |= self.measure.visits > ROUNDING
         columns = np.flatnonzero(np.append(best, [True] * program.ratio))
         lower, matrix = np.array(linear.lower), linear.matrix[:, columns]
         for place in (linear.rows[name] for name in self.tight if prices.get(name, 0.0) > 0.0):
