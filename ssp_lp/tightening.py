@@ -245,7 +245,7 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
     """
     budget, (ends, charges, rank, _) = problem.failure_budget, ending(box, problem.semantics)
     loss, decision, *_ = settled(box, problem.semantics, safest=True)
-    check_ends(problem.semantics, problem.model, problem.start_mass, loss)
+    check_ends(problem.model, (problem.start_mass > 0.0) & np.isinf(loss))
     least = float(expected(problem.start_mass, loss))
     if budget is not None and least > budget + LEAST_BUDGET:
         every = "policy of finite worst cost" if rank.any() else "policy"

@@ -512,18 +512,23 @@ class _Optimum:
         pairs as visited states and tight rows together, if every tight row has a price, and if no
         charge of failing is attained by two actions.
         """
-        prices = self.measure.prices.items()
-        priced = {name for name, price in prices if price > ROUNDING * self.size}
         unused = (self.best & (self.measure.visits <= ROUNDING)).any()
-        alone = self.has_one_price and priced == {*self.tight} and not unused
+        alone = self.has_one_price and self._priced == {*self.tight} and not unused
         return alone and not self._charges_tie
+
+    @property
+    def _priced(self) -> set[str]:
+        """Names of the rows with a price."""
+        prices = self.measure.prices.items()
+        return {name for name, price in prices if price > ROUNDING * self.size}
 
     @cached_property
     def tight(self) -> list[str]:
-        """Names of the rows that are met with equality."""
-        measure = self.measure
-        return [row.name for row in measure.program.rows if abs(measure.slack[row.name]) <= (
-            ROUNDING * (1.0 + abs(row.bound)))]  # fmt: skip
+        """Names of the rows that have a price or are met with equality."""
+        slack = self.measure.slack  # a solver may miss a row with a price by more than rounding
+        met = (row.name for row in self.measure.program.rows
+               if abs(slack[row.name]) <= ROUNDING * (1.0 + abs(row.bound)))  # fmt: skip
+        return [*self._priced.union(met)]
 
     @cached_property
     def has_one_price(self) -> bool:
@@ -544,7 +549,9 @@ class _Optimum:
         from ssp_lp.linear_programming.highs import minimiser
 
         program, prices = self.measure.program, self.measure.prices
-        linear, best = program.linear, self.duals.reduced_costs <= ROUNDING * self.size
+        own = 1.0 + np.abs(self.duals.states[program.process.pair_state])  # a far price may be huge
+        linear, best = program.linear, self.duals.reduced_costs <= ROUNDING * own
+        best |= self.measure.visits > ROUNDING
         columns = np.flatnonzero(np.append(best, [True] * program.ratio))
         lower, matrix = np.array(linear.lower), linear.matrix[:, columns]
         for place in (linear.rows[name] for name in self.tight if prices.get(name, 0.0) > 0.0):

@@ -23,13 +23,7 @@ from ssp_lp.arrays import (
     segment_ids,
     segment_sums,
 )
-from ssp_lp.errors import (
-    ModelError,
-    as_percentage,
-    check_between_0_and_1,
-    check_whole,
-    is_number,
-)
+from ssp_lp.errors import ModelError, as_percentage, check_between_0_and_1, check_whole, is_number
 from ssp_lp.model.arguments import explained, explained_class
 from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP

@@ -71,8 +71,10 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
     start = problem.start_mass
     with limited(time_limit, "the worst probabilities were settled"):
         loss, decision, worst, rounds = settled(boxes, semantics)
-        check_ends(semantics, problem.model, start, loss)
-        if (lost := (start > 0.0) & np.isinf(loss)).any():
+        lost = (start > 0.0) & np.isinf(loss)
+        if not semantics.forbids_failing:
+            check_ends(problem.model, lost)
+        elif lost.any():
             state = problem.model.states[int(np.argmax(lost))]
             raise InfeasibleError(
                 f"no policy reaches the goal surely from state {state!r} at all probabilities in "
@@ -258,22 +260,14 @@ def worst_means(boxes: Boxes, worth: FloatArray) -> tuple[FloatArray, FloatArray
     return worst, segment_sums(worst * worth, offsets)
 
 
-def check_ends(
-    semantics: FailureSemantics, model: SSP, start: FloatArray, loss: FloatArray
-) -> None:
-    """Raise :class:`ModelError` if nature can keep every policy from ending from the start."""
-    lost = (start > 0.0) & np.isinf(loss)
-    if lost.any() and not semantics.forbids_failing:
-        raise _never_ends(model, lost)
-
-
-def _never_ends(model: SSP, states: BoolArray) -> ModelError:
-    """Return the error that nature can keep every policy from ending from one of some states."""
-    return ModelError(
-        f"state {model.states[int(np.argmax(states))]!r}: the boxes allow probabilities with which "
-        "a run never ends: use give_up='anywhere', or give the outcomes that lead to an end a low "
-        "above 0"
-    )
+def check_ends(model: SSP, kept: BoolArray) -> None:
+    """Raise :class:`ModelError` for states from which nature keeps every policy, [states]."""
+    if kept.any():
+        raise ModelError(
+            f"state {model.states[int(np.argmax(kept))]!r}: the boxes allow probabilities with "
+            "which a run never ends: use give_up='anywhere', or give the outcomes that lead to an "
+            "end a low above 0"
+        )
 
 
 def ending(
@@ -299,8 +293,7 @@ def ending(
     lost = rank > 0
     pair = segment_ids(model.outcome_offsets)
     free = (model.costs == 0.0) & (boxes.high > 0.0) & lost[model.pair_state[pair]]
-    if free.any():
-        raise _never_ends(model, lost)
+    check_ends(model, lost & free.any())
     decision = np.where(lost, model.pair_offsets[:-1], decision)
     decision[may_stop] = GIVE_UP_CODE
     return decision, np.where(may_stop, stopping, entering), rank, usable

@@ -246,6 +246,40 @@ def test_a_chain_given_success_is_solved_once_and_asked_on_both_sides(monkeypatc
     assert effect.right == pytest.approx(by_differences["right"], rel=1e-6)
 
 
+def test_a_row_that_the_solver_misses_by_a_trifle_has_its_price(monkeypatch):
+    """HiGHS exceeds the budget of this chain by 1.4e-9: no number needs nearby programs for it."""
+    rng, stages, programs, solve_program = (
+        np.random.default_rng(0),
+        {},
+        [],
+        analysis_of._vertex_in_time,
+    )
+    for k in range(20):
+        p = round(float(rng.uniform(0.02, 0.08)), 3)
+        stages[k] = {
+            "slow": [(0.9, k + 1, 2.0), (0.1, k, 2.0)],
+            "fast": [(0.9 - p, k + 1, 1.0), (0.1, k, 1.0), (p, "pit", 1.0)],
+        }
+    model = SSP.from_transitions(stages | {"pit": {}}, {20}, dead_ends={"pit"})
+    monkeypatch.setattr(
+        analysis_of, "_vertex_in_time", lambda *of: programs.append(of) or solve_program(*of)
+    )
+    report = solve(S3P(model, 0, 0.2)).what_if(lambda number: number.kind)
+    assert len(programs) <= 2
+    assert by_name(report)["bound"].derivative < 0.0
+
+
+def test_a_huge_penalty_elsewhere_does_not_tie_two_ways():
+    """The tram costs 1e-4 more than the bus, far from a pit whose penalty is 1e7."""
+    ways = {way: [(1.0, "ford", cost)] for way, cost in (("bus", 5.0), ("tram", 5.0001))}
+    ford = {"wade": [(1 - 1e-9, "home", 1.0), (1e-9, "swamp", 1.0)]}
+    swamp = {"swim": [(0.5, "home", 1.0), (0.5, "pit", 1.0)]}
+    table = {"depot": ways, "ford": ford, "swamp": swamp, "pit": {}}
+    model = SSP.from_transitions(table, {"home"}, dead_ends={"pit"})
+    found = by_name(solve(FinitePenalty(model, "depot", 1e7, give_up="dead_ends")).what_if())
+    assert found["cost of bus in depot"].derivative == pytest.approx(1.0)
+
+
 def test_a_derivative_that_changes_close_by_is_said_to():
     """Two ways rise together, up to a third that costs 1.5e-5 more; failing charges the least."""
     at = {"bus": 5.0, "tram": 5.0, "ferry": 5.0 + 1.5e-5}
