@@ -253,9 +253,9 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 33_923),
+        (house.lines_in_all, 33_926),
         (house.public_classes, 273),
-        (house.numeric_constants, 481),
+        (house.numeric_constants, 482),
         (house.questions_asked, 12),
         (house.written_past_freezing, 28),
     ],
@@ -282,7 +282,7 @@ LINES = {
     "ssp_lp": 2_219,
     "ssp_lp/accumulated_cost": 2_727,
     "ssp_lp/analysis": 1_634,
-    "ssp_lp/column_generation": 2_235,
+    "ssp_lp/column_generation": 2_238,
     "ssp_lp/compiled": 1_737,
     "ssp_lp/distributed": 976,
     "ssp_lp/dynamic_programming": 1_925,
