@@ -25,6 +25,8 @@ from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.policies.policy import Policy
 
+_LONG_RUNS = 1e6  # steps beyond the cap from which the rounding of goal probabilities adds up
+
 
 @dataclass(frozen=True, eq=False)
 class OpenEndedPricing(PricingProblem):
@@ -91,7 +93,10 @@ class OpenEndedPricing(PricingProblem):
         return known
 
     def true_cost(self, column: Column) -> float | None:
-        """Return the cost with the exact charge beyond the cap; None: it is not affine there."""
+        """Return the cost with the exact charge beyond the cap.
+
+        None: it is not affine there, or runs are so long that rounded costs of steps add up.
+        """
         layered, last = self.augmented, column.beyond
         if last is None or layered.shift > 0.0 or not layered.is_settled:
             return None
@@ -100,9 +105,11 @@ class OpenEndedPricing(PricingProblem):
         if self.by_goal:
             goal, failure = -totals[:, 1], 1.0 + totals[:, 1]
         steps = layered.step_cost(layered.reaching(goal))[:, None]
-        ahead = evaluate_policy(self._beyond.dynamics, choice, steps).values[:, 0]
+        ahead = evaluate_policy(self._beyond.dynamics, choice, steps)
+        if ahead.runs.max(initial=0.0) > _LONG_RUNS:
+            return None
         early = goal / layered.base.survival
-        tail = TailValues(goal, failure, early, ahead, moment=np.zeros_like(goal))
+        tail = TailValues(goal, failure, early, ahead.values[:, 0], moment=np.zeros_like(goal))
         beyond = np.array(ahead_of(layered, totals))
         beyond[:, :, 0] = layered.charge.beyond(layered.totals.beyond[:, None], tail)
         figures = self.sweep.measure(required(column.choice)[:-1], beyond)

@@ -107,10 +107,10 @@ class System:
         """States that the chain never leaves, [some states]."""
         strong, rows = self.components, self.matrix
         left = np.zeros(strong.n_components, dtype=np.bool_)
-        entry = rows.tocoo()
-        onward = (strong.label[entry.row] != strong.label[entry.col]) & (entry.data > 0.0)
         left[strong.label[self.exits > 0.0]] = True
-        left[strong.label[entry.row[onward]]] = True
+        if not left.all():
+            own = strong.label.repeat(rows.indptr[1:] - rows.indptr[:-1])
+            left[own[(strong.label[rows.indices] != own) & (rows.data > 0.0)]] = True
         return (~left[strong.label]).nonzero()[0] if not left.all() else _NOBODY
 
     @with_twin

@@ -9,6 +9,7 @@ import pytest
 from examples.domains.navigation import navigation
 from examples.domains.windy_field import windy_field
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from examples.solver_comparison.instances.families import holes
 from formulations import GUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR, MaxProb
 from small_models import model_of
 from ssp_lp import (
@@ -404,3 +405,16 @@ def test_one_sweep_proves_what_it_finds(accelerate, monkeypatch, discount):
         own = alone.prove(found, slack=slack)
         assert row.lower_bound(proof) == pytest.approx(row.lower_bound(own), rel=1e-12)
         assert alone.check(found, proof.values, slack=slack).bound == pytest.approx(own.bound)
+
+
+def test_a_true_cost_is_unknown_where_runs_beyond_the_cap_are_endless():
+    """Rounding of the goal probability, times 1e30 steps, made the cost of failing -5e16."""
+    model = holes(40)
+    free = {"fuel": secondary_cost(np.ones(model.n_pairs)) <= 1e9}
+    stated = compiled_constrained(S3P(model, 0, 0.05, constraints=free))
+    pricing = replace(stated.with_tails(exact=False), cap=40).pricing()
+    failing, safe = (pricing.minimise(np.array([1.0, price, 0.0])) for price in (1.0, 100.0))
+    assert pricing.true_cost(failing) is None
+    acts = evaluate(pricing.policy(safe), S3P(model, 0, 1.0))
+    known = pricing.true_cost(safe)
+    assert known == pytest.approx(acts.objective * acts.goal_probability, rel=1e-12)
