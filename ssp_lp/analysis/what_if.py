@@ -619,17 +619,21 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
     """
     check_time()
     limit = seconds_left()
+    program = problem.program()
     try:
-        measure: OccupationMeasure = problem.program().solve(time_limit=limit, warm_start=begun)
+        for backend in (None, "highs-simplex"):  # interior points may find no vertex
+            measure: OccupationMeasure = program.solve(
+                backend, time_limit=seconds_left(), warm_start=begun
+            )
+            if (measure.reduced or measure).basis is not None:
+                return measure
     except SolverError as error:
         if is_late():
             raise Stop from error
         raise
-    if (measure.reduced or measure).basis is None:
-        if 2.0 * seconds_left() < limit:
-            raise Stop  # the limit has cut the solver short of a vertex
-        raise SolverError("the program was solved by interior points alone, whose prices are rough")
-    return measure
+    if 2.0 * seconds_left() < limit:
+        raise Stop  # the limit has cut the solver short of a vertex
+    raise SolverError("the program was solved by interior points alone, whose prices are rough")
 
 
 def _facts(model: SSP) -> dict[str, Any]:
