@@ -48,7 +48,7 @@ from ssp_lp.model.graph import (
 )
 from ssp_lp.model.product import unroll_steps
 from ssp_lp.model.ssp import ImplicitSSP
-from ssp_lp.model.tracked_product import followed_in, track
+from ssp_lp.model.tracked_product import check_not_rounded, followed_in, track
 from ssp_lp.problem import (
     BUDGET_OR_SHARE as BUDGET_OR_SHARE,
     FailureBudget as FailureBudget,
@@ -258,10 +258,11 @@ class Formulation(Problem):
         for followed in followed_by(limit for _, limit in limits_of(self)):
             if followed_in(model, followed) is None:
                 automaton = followed.automaton(model)
-                limits = (limit for _, limit in limits_of(self) if automaton.unit > 0.0)
-                if not all(map(followed.is_safe, limits)):
+                limits = (pair for pair in limits_of(self) if automaton.unit > 0.0)
+                if not all(followed.is_safe(limit, self.constraints.get(name) is limit)
+                           for name, limit in limits):  # fmt: skip
                     raise ModelError(f"too many distinct totals in {followed!r}, and rounding them "
-                                     "up is safe only for limits within(...) >= p and "
+                                     "up is safe only for constraints within(...) >= p and "
                                      "exceeds(...) <= p: round the amounts")  # fmt: skip
                 product = track(model, automaton, followed, begin)
                 model, begin = product, product.at(begin, product.first_memory(begin))
@@ -338,4 +339,5 @@ class Formulation(Problem):
 
         if self.box is not None:
             raise has_boxes("program")
+        check_not_rounded(self.tracked.model, "program")
         return program_of(self)

@@ -11,6 +11,7 @@ each plan and each measure.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -125,7 +126,10 @@ def tighten(
     with limited(time_limit, "a lottery was found"):
         pool = _safest(problem, box)
         with WithIncumbent():
-            for price in pool.prices(solve(problem).failure_price or 0.0, tolerance):
+            first = 0.0
+            with suppress(InfeasibleError):  # the model itself may lie outside the boxes
+                first = solve(problem).failure_price or 0.0
+            for price in pool.prices(first, tolerance):
                 _, decision, worst, _ = settled(box, replace(semantics, penalty=price))
                 at_worst = solved_at(problem, box, worst, solve)
                 pool.lower_bound = max(pool.lower_bound, at_worst.lower_bound)

@@ -238,8 +238,8 @@ CALLS: dict[str, Callable[[], object]] = {
         ("S3P", Way(38, 325, 1069, 737)),
         ("CVaR", Way(42, 438, 3125, 1980)),
         ("limits", Way(33, 271, 1018, 710)),
-        ("certify", Way(34, 187, 648, 436)),
-        ("program", Way(45, 501, 3296, 2220)),
+        ("certify", Way(35, 189, 650, 437)),
+        ("program", Way(46, 503, 3214, 2219)),
     ],
 )
 def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -> None:
@@ -253,7 +253,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 34_316),
+        (house.lines_in_all, 34_341),
         (house.public_classes, 273),
         (house.numeric_constants, 480),
         (house.questions_asked, 12),
@@ -279,9 +279,9 @@ def test_no_folder_grows() -> None:
 LINES = {
     "formulations": 420,
     "formulations/command_line": 833,
-    "ssp_lp": 2_291,
+    "ssp_lp": 2_297,
     "ssp_lp/accumulated_cost": 2_776,
-    "ssp_lp/analysis": 1_701,
+    "ssp_lp/analysis": 1_711,
     "ssp_lp/column_generation": 2_267,
     "ssp_lp/compiled": 1_856,
     "ssp_lp/distributed": 972,
@@ -289,13 +289,13 @@ LINES = {
     "ssp_lp/game": 1_001,
     "ssp_lp/io": 2_897,
     "ssp_lp/linear_programming": 434,
-    "ssp_lp/methods": 3_359,
-    "ssp_lp/model": 3_478,
+    "ssp_lp/methods": 3_357,
+    "ssp_lp/model": 3_484,
     "ssp_lp/plotting": 794,
     "ssp_lp/policies": 1_474,
-    "ssp_lp/processes": 2_017,
+    "ssp_lp/processes": 2_018,
     "ssp_lp/programs": 1_306,
     "ssp_lp/reductions": 446,
-    "ssp_lp/verification": 1_829,
+    "ssp_lp/verification": 1_833,
 }
 """Code lines of each folder."""

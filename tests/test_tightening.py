@@ -199,6 +199,19 @@ def test_plans_decide_in_states_that_nature_turns_into_dead_ends():
     assert found.gap <= 1e-8
 
 
+def test_the_model_itself_may_lie_outside_the_boxes():
+    """At its own probabilities no plan satisfies the budget; in the boxes walking does."""
+    ways = {
+        "go": [(0.5, "home", 1.0), (0.5, "ditch", 1.0)],
+        "walk": [(0.6, "home", 3.0), (0.4, "ditch", 3.0)],
+    }
+    model = SSP.from_transitions({"road": ways, "ditch": {}}, {"home"}, dead_ends={"ditch"})
+    boxes = Boxes(model, low=[0.7, 0.0, 0.9, 0.0], high=[1.0, 0.3, 1.0, 0.1])
+    plan = tighten(MCMP(model, "road", failure_budget=0.2), boxes)
+    assert plan.objective == pytest.approx(2.0)  # half of the runs go: 0.5 * 0.3 + 0.5 * 0.1 = 0.2
+    assert plan.lower_bound == pytest.approx(2.0)
+
+
 def test_what_is_not_supported_is_refused_by_name():
     only = SSP.from_transitions(
         {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)]}, "ditch": {}},

@@ -548,13 +548,13 @@ class _Optimum:
             return None
         from ssp_lp.linear_programming.highs import minimiser
 
-        program, prices = self.measure.program, self.measure.prices
+        program = self.measure.program
         own = 1.0 + np.abs(self.duals.states[program.process.pair_state])  # a far price may be huge
         linear, best = program.linear, self.duals.reduced_costs <= ROUNDING * own
         best |= self.measure.visits > ROUNDING
         columns = np.flatnonzero(np.append(best, [True] * program.ratio))
         lower, matrix = np.array(linear.lower), linear.matrix[:, columns]
-        for place in (linear.rows[name] for name in self.tight if prices.get(name, 0.0) > 0.0):
+        for place in (linear.rows[name] for name in self._priced):
             lower[place] = linear.upper[place]
         least = minimiser(replace(linear, cost=np.zeros(columns.size), matrix=matrix, lower=lower))
         if program.ratio:  # the last column is the factor by which all visits are multiplied
@@ -564,12 +564,19 @@ class _Optimum:
     def sides(self, change: Change) -> tuple[float, float] | None:
         """Return the derivatives to the left and right in a direction if the prices are unique.
 
-        None: several prices may be optimal, or a value that counts is unknown.
+        None: several prices may be optimal, or a value that counts is unknown. Values of states
+        that no optimal run visits are not unique, so none may begin to be visited.
         """
-        if self.optima is None:
-            return None
         (column, outcome, _, worth), counting = self.outcomes, self.counting_steps
         model, process = self.problem.model, self.measure.program.process
+        given = (model if counting is None else counting.original).probabilities
+        if self.optima is None or any(
+            slope > 0.0 and known[place] == 0.0
+            for known, slopes_of in ((given, change.probabilities),
+                                     (self.problem.start_mass, change.start))
+            for place, slope in slopes_of.items()
+        ):  # fmt: skip
+            return None
         stated = outcome if counting is None else counting.original_outcome[outcome]
 
         def slopes(of: Mapping[int, float]) -> FloatArray:

@@ -289,7 +289,7 @@ class _Tree:
             self.closed = min(self.closed, bound)
 
     def _rewards(self, node: _Node) -> FloatArray:
-        """Return cost, failure and goal of each pair, [pairs, 3]; excluded pairs are too expensive."""
+        """Return cost, failure and goal of each pair, [pairs, 3]; excluded ones cost too much."""
         process, taken = self.process, np.array(node.taken, dtype=np.int64)
         excluded = np.zeros(process.n_states, dtype=np.bool_)
         excluded[process.pair_state[taken]] = True

@@ -71,7 +71,7 @@ from ssp_lp.errors import (
 from ssp_lp.methods.rows import rows_optimum, true_figures
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.report import Report, Table
-from ssp_lp.model.tracked_product import rounded_in
+from ssp_lp.model.tracked_product import check_not_rounded
 from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
@@ -205,9 +205,7 @@ def _traceable(problem: Problem, over: str, limits: _TraceLimits) -> Problem:
         raise ModelError(f"{name} is not a linear program: trace the limit with another criterion")
     if limits.steepest_price is not None:
         raise ModelError(Argument("steepest_price"), " is for the failure budget alone")
-    for follows, unit in rounded_in(problem.tracked.model).items():
-        raise ModelError(f"the totals of {follows!r} are too many and rounded to multiples of "
-                         f"{unit:.3g}: solve at each budget, or round the amounts")  # fmt: skip
+    check_not_rounded(problem.tracked.model, "trace_frontier")
     return problem
 
 

@@ -144,6 +144,19 @@ def rounded_in(model: SSP) -> dict[object, float]:
     return found
 
 
+def check_not_rounded(model: SSP, what: str) -> None:
+    """Refuse a computation that would describe the rounded amounts of a model's products.
+
+    Raises:
+        ModelError: totals of a limit are rounded.
+    """
+    for follows, unit in rounded_in(model).items():
+        raise ModelError(
+            f"the totals of {follows!r} are too many and rounded to multiples of {unit:.3g}, which "
+            f"{what} does not support: round the amounts to fewer values"
+        )
+
+
 def track(
     model: SSP,
     automaton: Automaton,

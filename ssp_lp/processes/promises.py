@@ -90,12 +90,16 @@ class _Total(Followed):
         """Return the total with amounts rounded down, if they must be rounded."""
         return replace(self, rounds_down=True)
 
-    def is_safe(self, constraint: Constraint) -> bool:
-        """Return whether policies of rounded-up amounts satisfy a limit with the exact ones."""
+    def is_safe(self, constraint: Constraint, is_stated: bool) -> bool:
+        """Return whether policies of rounded-up amounts satisfy a limit with the exact ones.
+
+        In the objective, and in limits of the criterion itself, only exact amounts are supported.
+        """
         at_most, at_least = constraint.upper is not None, constraint.lower is not None
         weights = [weight for weight, counted in constraint.quantity.terms if counted is self]
         rises = [(weight > 0.0) == self.passes for weight in weights]  # the more, the higher totals
-        return not (at_least and any(rises)) and not (at_most and not all(rises))
+        is_right = not (at_least and any(rises)) and not (at_most and not all(rises))
+        return is_right and (is_stated or not rises)
 
     def term(self, product: TrackedSSP) -> ArrivalTerm:
         """Return the term of goals reached within the bound, or of states that just pass it."""

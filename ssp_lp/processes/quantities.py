@@ -110,9 +110,14 @@ class Followed(ABC):
         """Return the same with amounts rounded down, if the automaton rounds them."""
         return self
 
-    def is_safe(self, constraint: Constraint) -> bool:
-        """Return whether a policy that satisfies a limit as rounded satisfies it exactly."""
-        return constraint.quantity is not None
+    def is_safe(self, constraint: Constraint, is_stated: bool) -> bool:
+        """Return whether a policy that satisfies a limit as rounded satisfies it exactly.
+
+        Args:
+            constraint: the limit, or the objective as a limit.
+            is_stated: whether it is one of the problem's ``constraints``.
+        """
+        return is_stated or constraint.quantity is not None
 
     def looked_up(self, model: SSP) -> ArrivalTerm:
         """Return the term on a model that contains the product with the automaton."""

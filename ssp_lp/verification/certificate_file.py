@@ -35,6 +35,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.implicit import ExploredSSP
 from ssp_lp.model.product import LATE, HorizonSSP
+from ssp_lp.model.tracked_product import check_not_rounded
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED, Policy
 from ssp_lp.problem import Problem, as_stated, check_problem
@@ -446,6 +447,7 @@ def certificate_of(solution: Solution) -> list[bytes]:
     """
     solved = as_solved(solution, "write_certificate")
     problem = solution.problem
+    check_not_rounded(problem.tracked.model, "a certificate file")
     if solution.run.deterministic and problem.failure_budget is not None:
         raise _refused(problem, f"deterministic optimality needs a search tree{_IN_MEMORY}")
     statement = Statement(problem)

@@ -19,6 +19,7 @@ from ssp_lp.methods.refinement import Proved
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.implicit import ExploredSSP
 from ssp_lp.model.report import Facts, Table
+from ssp_lp.model.tracked_product import check_not_rounded
 from ssp_lp.options import Status, progress_shown
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import least_failure_bound, on_one_model
@@ -56,6 +57,7 @@ def certify(
             criteria, before a bound was proved.
     """
     solution, began = as_solved(solution, "certify"), perf_counter()
+    check_not_rounded(solution.problem.tracked.model, "certify")
     with progress_shown(verbose):
         with limited(time_limit, "the policy was evaluated"):
             evaluation, members = _evaluated(solution)

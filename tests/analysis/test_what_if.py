@@ -336,6 +336,26 @@ def test_the_slopes_of_a_curve_are_one_sided_derivatives():
     refused("two solutions", plot_parameter, [*solutions, 3], "fuel")
 
 
+def test_what_no_run_visits_has_no_value_until_it_is_visited():
+    """Values of unvisited states are not unique: the sides come from optima nearby."""
+    p = Parameter("p", 0.0)
+    ways = {
+        "a": {"go": [(1.0 - p, "home", 1.0), (p, "b", 1.0)]},
+        "b": {"short": [(1.0, "home", 5.0)], "long": [(1.0, "home", 7.0)]},
+    }
+    model = SSP.from_transitions(ways, {"home"})
+    effect = by_name(solve(FinitePenalty(model, "a", 20.0, horizon=3)).what_if())["parameter p"]
+    assert effect.right == pytest.approx(5.0, rel=1e-6)
+    risky = {"x": [(1.0, "home", 1.0), (0.0, "pit", 1.0)], "y": [(1.0, "home", 3.0)]}
+    model = SSP.from_transitions({"a": risky, "pit": {}}, {"home"}, dead_ends={"pit"})
+    report = solve(MinCost(model, "a")).what_if()
+    a, pit = map(model.index_of, ("a", "pit"))
+    for change in (Change(probabilities={0: -1.0, 1: 1.0}), Change(start={a: -1.0, pit: 1.0})):
+        effect = report.effect(change)
+        assert effect.right is None
+        assert effect.note
+
+
 def test_a_change_is_a_vector():
     both = Change(bounds={"failure": 1.0}) + Change(bounds={"failure": 0.5}, start={0: 1.0})
     assert dict(both.bounds) == {"failure": 1.5}
