@@ -328,9 +328,10 @@ class _Tree:
         priced, values = weighted(rewards, weights), weighted(required(column.totals), weights)
         priced -= LOST * priced  # a bound rounds down
         lack, least = shortfall(process.dynamics, priced, values), float(priced.min())
-        shrunk = values * (1.0 - 2.0 * float(lack.max()) / least) if least > 0.0 else values
+        share = 2.0 * float(lack.max()) / least if least > 0.0 else 0.0
+        shrunk = values * (1.0 - share)
         bound = DualBound(shrunk, np.zeros_like(shrunk))
-        if shortfall(process.dynamics, priced, shrunk).any():
+        if share > _SETTLED or shortfall(process.dynamics, priced, shrunk).any():
             bound = bound_of(process, None, priced, values, choice=column.choice)
         return self._objective_bound(column.tail_price, bound.at(process.start))
 
@@ -345,7 +346,7 @@ class _Tree:
             if outside is None:
                 return price
             wanted = self.search.best.value * (row.demanded if row.ratio else 1.0)
-            enough = (outside.cost - wanted) / row.spare(outside)
+            enough = 2.0 * (outside.cost - wanted) / row.spare(outside)  # to close it clearly
             return enough if price < enough < _STEP * price else _STEP * price
         if row.ratio:
             least = max(least, row.objective(inside.cost, inside.goal))

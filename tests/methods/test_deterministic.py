@@ -10,6 +10,7 @@ from references.chain import plain_model
 from references.frontier import Point, least_failure
 from small_models import model_of
 from ssp_lp import (
+    SSP,
     ColumnGeneration,
     DeterministicPolicies,
     InfeasibleError,
@@ -264,3 +265,20 @@ def test_arguments():
     infeasible = written("road fast: 0.9 g 1, 0.1 ditch 1")
     with pytest.raises(InfeasibleError):
         solve(MCMP(infeasible, start="road", failure_budget=0.05), method="deterministic")
+
+
+def test_the_bound_of_a_hopeless_part_passes_the_best_policy_clearly():
+    """Steps that hardly end make prices of 1e7: the gap was 1e-7."""
+    moves = {
+        "s0": {
+            "u0": [(0.99, "s0", 3.14159265), (0.01, "pit", 3.14159265)],
+            "u1": [(0.5, "s2", 1.414213), (0.5, "s1", 0.123456)],
+        },
+        "s1": {"u0": [(0.99, "s1", 0.123456), (0.01, "s1", 0.123456)]},
+        "s2": {"u0": [(0.9, "s3", 0.123456), (0.1, "s2", 3.14159265)]},
+        "s3": {"u0": [(0.001, "g", 3.14159265), (0.999, "pit", 1.414213)]},
+        "pit": {},
+    }
+    model = SSP.from_transitions(moves, {"g"}, dead_ends={"pit"})
+    problem = MCMP(model, "s0", 0.99975, give_up="attention", charge_failing_step=False)
+    assert solve(problem, method="deterministic").gap <= 1e-9
