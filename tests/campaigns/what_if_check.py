@@ -165,7 +165,7 @@ def of_the_lottery(problem: Any, effect: Effect) -> Iterator[str]:
 
 
 def of_breakpoints(report: WhatIf, effect: Effect, tally: Counter[str]) -> Iterator[str]:
-    """In case M the optimum is linear in a bound or cost up to the breakpoints, by bisection."""
+    """In case M the optimum is linear in a bound or the cost up to breakpoints, by bisection."""
     problem, slope = report.problem, effect.derivative
     if slope is None:
         return
@@ -200,7 +200,8 @@ def told(report: WhatIf, tally: Counter[str]) -> Iterator[str]:
             tally["lines"] += 1
             yield from of_the_lottery(problem, effect)
             continue
-        is_linear = effect.number.kind in ("bound", "cost") and not problem.ratio
+        is_minimised = all(name == "time" for name, _ in change.costs)  # of a limit: a hyperbola
+        is_linear = effect.number.kind in ("bound", "cost") and is_minimised and not problem.ratio
         rarely = sum(tally[name] for name in CRITERIA) % 20 == 1  # it takes many solves
         if effect is report.effects[0] and is_linear and rarely:
             yield from of_breakpoints(report, effect, tally)
