@@ -182,7 +182,7 @@ class CostLaw:
             raise ModelError(f"rate must be a number of at most 0, not {in_short(rate)}")
 
         def discounted(chain: Chain) -> float:
-            """Return the expectation for a member, with the factor of each step as a discount."""
+            """Return a member's expectation; a step's factor exp(rate * cost) is a discount."""
             lost, factor = chain.per_node(-np.expm1(rate * chain.cost)), np.exp(rate * chain.cost)
             chance, give_up = chain.probability * factor, chain.give_up + lost
             tilted = replace(chain, probability=chance, give_up=give_up)

@@ -149,8 +149,8 @@ class LayerMoves:
         """Mark the states from which a policy may reach marked states, in place.
 
         Args:
-            begin: the first layer. A class of steps passes equally many layers from each of the
-                layers.
+            begin: the first layer. Steps of one cost class must pass the same number of layers from
+                every layer between begin and end.
             end: the layer after the last one; layers are handled from the last one on.
             hopeful: marks, updated, [layers and layers ahead, states].
         """

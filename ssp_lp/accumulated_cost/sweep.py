@@ -237,7 +237,7 @@ class Sweep:
             return self.follow(choice, beyond)
 
         def measured(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
-            """Return the measures of a layer's choice."""
+            """Return the measures of each node of a layer if it takes the pairs of ``choice``."""
             return (self._measures(layer, self.first_pairs + choice[layer], ahead),)
 
         swept = self._backward(measured, beyond)

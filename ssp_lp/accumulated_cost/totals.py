@@ -129,13 +129,13 @@ class StepClasses:
     def of(
         cls, model: SSP, counted: BoolArray, unit: Fraction, costs: FloatArray, classes: IntArray
     ) -> StepClasses:
-        """Return the classes of the outcomes that lead into counted states.
+        """Return the class of each outcome by its cost; 0 if it leads into no counted state.
 
         Args:
             model: the model.
-            counted: the states, [states].
+            counted: states whose incoming costs must be remembered, [states].
             unit: cost of a layer, or 1.
-            costs: distinct costs of the steps into them, increasing, [costs].
+            costs: distinct costs of the steps into counted states, increasing, [costs].
             classes: class of each cost, [costs].
         """
         least, classes = int(classes.min()) if classes.size else 0, classes.astype(np.int32)
@@ -554,7 +554,7 @@ def resolution_of_law(model: SSP) -> Resolution | None:
 
 
 def _resolution(model: SSP, steps: FloatArray) -> Resolution | None:
-    """Return the resolution for some step costs; None: multiples of their unit are enough."""
+    """Return how totals of some step costs form layers; None: they are multiples of a unit."""
     if uniform_cost(model) is not None:
         return None
     ahead, per_step = _STEPS_AHEAD * float(steps[-1]), 0

@@ -315,7 +315,7 @@ def _measures_of(totals: FloatArray, ends: FloatArray) -> _Measures:
 
 
 def _survivals(problem: Problem) -> list[float]:
-    """Return the discounts under which a policy is measured, the problem's last."""
+    """Return the discounts under which a policy is measured: 1, then the problem's, if any."""
     return [1.0] if problem.discount is None else [1.0, problem.discount]
 
 

@@ -166,7 +166,10 @@ class OpenEndedPricing(PricingProblem):
         return self._proved(pricing_weights(price), values, None)
 
     def _proved(self, weights: FloatArray, values: FloatArray, best: Column | None) -> Proof:
-        """Return the proof of lowered values; a (nearly) optimal policy saves work."""
+        """Lower values to a checked sub-solution; return it as a proof.
+
+        If the values are infinite, ``best``, a (nearly) optimal policy, saves work.
+        """
         last = self._beyond.lowered(weights, self._asked_beyond(values, weights, best)).rounded
         beyond, price = ahead_of(self.augmented, last), float(weights[1])
         priced = at_weights(self.sweep, weights, beyond, bounds=True)

@@ -78,12 +78,13 @@ def improve_acyclic(
         order: states, ends first, [states].
         rewards: [pairs, rewards].
         cost: the weighted sum of the rewards, which is minimised, [pairs].
-        keeps: whether to take the given pairs.
+        keeps: True: evaluate the given pairs without improving them.
         epsilon: the machine epsilon.
-        choice: the given pairs, kept if equally good; written, [states].
+        choice: the given pairs, overwritten by better ones unless ``keeps``, [states].
         x: written: expected totals, [states, rewards].
         runs: written: expected steps, [states].
-        missed: written: half of the greatest error of each total per expected step, [rewards].
+        missed: written: for each reward the greatest ratio, over the states, of half a total's
+            error bound and its expected steps, [rewards].
 
     Returns:
         False if some state is never left.
@@ -127,7 +128,10 @@ def _improve_component(
     rows: Rows, states: Array, place: Array, cost: Array, noise: float,
     choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
 ) -> bool:  # fmt: skip
-    """Improve a policy within a component by Howard's rounds; return whether all policies left."""
+    """Improve a policy within a component by Howard's rounds.
+
+    Returns False if one of its policies never leaves the component from some state.
+    """
     _, indptr, indices, data, exits = rows
     column, rewards = values.reshape(values.size, 1), cost.reshape(cost.size, 1)
     size, leaves = states.size, True

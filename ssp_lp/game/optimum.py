@@ -199,7 +199,7 @@ def cheapest_mixture(
 
     Args:
         responses: policies, at least one of them within the budget.
-        room: the budget, counted from the responses' origin.
+        room: the failure budget minus the responses' ``origin``, which is 0 or 1.
 
     Returns:
         The members, their weights, and the lottery's J_obj.

@@ -66,7 +66,7 @@ def write_archive(
     """Write a compressed archive; equal content gives equal bytes.
 
     Args:
-        path: name of the file, without a further ending.
+        path: name of the file; no ending is added to it.
         kind: kind of the file, such as "policy".
         header: values that JSON supports.
         arrays: by name.

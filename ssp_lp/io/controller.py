@@ -360,7 +360,10 @@ def _number_after(
 
 
 def _layer_or_tail(memory: dict[str, Any], layer: int, reached: float, state: int) -> int:
-    """Return a layer below the cap, else a tail's number: the last tail from the threshold on."""
+    """Return the layer if it is below the cap, else the number of a tail.
+
+    It is the last tail if the cost has reached the state's threshold, otherwise the first one.
+    """
     threshold, cap = memory["threshold"][state], int(memory["cap"])
     if layer < cap:
         return layer

@@ -95,7 +95,7 @@ class EnvironmentSSP(SSP):
         return _plain(observation)
 
     def check_step(self, pair: int, state: int) -> None:
-        """Raise ModelError if a pair of the model cannot lead to a state."""
+        """Raise ModelError unless a pair of the model can lead to this state."""
         if state not in self.successors[slice(*self.outcome_offsets[pair : pair + 2].tolist())]:
             raise ModelError(
                 f"{self.describe_pair(pair)} led to {self.states[state]!r}, which the "

@@ -325,7 +325,8 @@ def _state_names(
 
     Args:
         archive: archive of Storm.
-        added: variables that Storm added, with the names of their values; None: left out.
+        added: variables that Storm added, with the names of their values, or None to leave the
+            variable out of the tuples.
     """
     variables, columns = archive.variables(), list[list[Hashable]]()
     beyond = [name for name in variables if name.rstrip("_") == _BEYOND]

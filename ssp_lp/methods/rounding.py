@@ -83,7 +83,7 @@ _ROUNDING = 1e-12  # feasibility tolerance, relative to the smaller of budget an
 
 
 def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve on split costs: return the best lottery and the best bound of finer and finer units.
+    """Solve models with split costs, in finer and finer units; return the best lottery and bound.
 
     Args:
         problem: of case S, with a limit on failure alone.

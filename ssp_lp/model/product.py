@@ -239,11 +239,11 @@ class ProductSSP(SSP):
         return self.at(successors, np.array(list(map(updated, *steps)), dtype=np.int64))
 
     def moved_by(self, pairs: IntArray, outcomes: IntArray) -> tuple[IntArray, IntArray]:
-        """Return the product's states and outcomes for original outcomes, [entries] each.
+        """Return the product's successor and outcome for each original outcome, [entries] each.
 
         Args:
             pairs: of the product, [entries].
-            outcomes: of the original, in the original of each pair, [entries].
+            outcomes: of the original model, each of the pair that its product pair comes from.
         """
         possible = np.cumsum(self.original.probabilities > 0.0)
         first = self.original.outcome_offsets[self.original_pair[pairs]]

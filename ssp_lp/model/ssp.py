@@ -1367,8 +1367,8 @@ def goal_mask_of(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
     goals = goals.astype(np.int64)
     if goals.size == 0:
         raise ModelError(
-            "the model has no goal state; name at least one (if only surviving counts, "
-            "one that no action leads to: within_steps(model, 100, survive=True))"
+            "the model has no goal state; name at least one. If episodes only have to survive, "
+            "name a state that no action leads to: within_steps(model, 100, survive=True)"
         )
     if goals.min() < 0 or goals.max() >= n_states:
         raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")

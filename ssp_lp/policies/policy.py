@@ -144,9 +144,10 @@ class _Playable(Report, ReadOnlyCopies, ABC):
         Args:
             seed: a generator, which continues from episode to episode, or a number, which gives
                 every episode the same draws.
-            world: "model" if episodes are played in the policy's model: steps that it does not
-                have, a state other than the observed one and a second observation of one action are
-                then errors. "other" for any other world, such as a simulator or a machine.
+            world: "model" if episodes are played in the policy's model. Then it is an error to
+                observe a step that the model does not have, to ask for an action in a state other
+                than the last observed one, or to observe twice after one action. "other" for any
+                other world, such as a simulator or a machine.
 
         Raises:
             ModelError: a lottery without a generator.
@@ -349,10 +350,7 @@ class Policy(_Playable):
 
     @property
     def staying(self) -> IntArray:
-        """Pair of each state by which the policy surely avoids the goal, or UNDECIDED, [states].
-
-        If possible, this pair lets the policy stay for ever without any limited quantity.
-        """
+        """Pair of each state by which the policy surely avoids the goal, or UNDECIDED, [states]."""
         pairs = np.flatnonzero(attention_pairs(self.model, attention_states(self.model)))
         states, first = np.unique(self.model.pair_state[pairs], return_index=True)
         decision = np.full(self.model.n_states, UNDECIDED, dtype=np.int64)

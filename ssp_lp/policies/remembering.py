@@ -72,7 +72,7 @@ class _Carried(Policy):
         ]
 
     def split(self, memory: IntArray) -> tuple[IntArray, IntArray]:
-        """Return the inner memory and the own one, [episodes] each."""
+        """Split a memory into the inner policy's and this policy's part, [episodes] each."""
         return np.divmod(memory, len(self.digits))
 
     def joined(self, inner: IntArray, digit: IntArray | int) -> IntArray:
@@ -193,7 +193,7 @@ class JointMemory(Policy):
         return [(int(np.ravel_multi_index(codes, self._sizes)), words) for codes, words in joint]
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states that every keeper lists with its part of a joint memory, [states]."""
+        """Return the states that all keepers list for their parts of a memory, [states]."""
         listed = [keeper.listed_states(int(part)) for keeper, part in self._parts(memory)]
         return reduce(np.intersect1d, listed, np.arange(self.model.n_states))
 

@@ -51,7 +51,8 @@ class PolicyTable(Report, Sequence[PolicyRow]):
     It is a sequence of :class:`PolicyRow`. States in which the policy never acts have no row.
     Memories are written as
 
-    - the cost paid so far (cost-aware policies, cost levels), "tail k" from the cap on;
+    - the cost paid so far (cost-aware policies, policies on cost levels), or "tail k" once the
+      cost has reached the policy's cap: from there it follows its stationary policy k;
     - the time step, or (time step, memory of the stage) (timed policies);
     - the product's memory, or (product's memory, memory of the inner policy);
     - "before failing", "giving up" and "after failing", alone or with the inner memory;

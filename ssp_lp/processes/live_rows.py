@@ -117,7 +117,7 @@ _NOWHERE = np.zeros(0, dtype=np.int32)
 
 @dataclass(frozen=True, eq=False)
 class RowChoice:
-    """The outcomes that form the rows of a process, and their columns."""
+    """The outcomes of a model that form the rows of a process's matrix, and their columns."""
 
     model: SSP
     node_of: IntArray  # [states] int32 node, -1 where the process ends

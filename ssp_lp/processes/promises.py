@@ -91,9 +91,9 @@ class _Total(Followed):
         return replace(self, rounds_down=True)
 
     def is_safe(self, constraint: Constraint, is_stated: bool) -> bool:
-        """Return whether policies of rounded-up amounts satisfy a limit with the exact ones.
+        """Return whether policies that satisfy a limit as rounded up satisfy it exactly.
 
-        In the objective, and in limits of the criterion itself, only exact amounts are supported.
+        False if the total is in the objective or in a limit of the criterion itself.
         """
         at_most, at_least = constraint.upper is not None, constraint.lower is not None
         weights = [weight for weight, counted in constraint.quantity.terms if counted is self]

@@ -249,7 +249,7 @@ class LabelledModel(Augmented):
         yield moving_within(quotient, flow, self.start + flow.entering(quotient))
 
     def spread(self, spread: Spread) -> LabelledModel:
-        """Return the augmented model of the live states with no component collapsed."""
+        """Return the augmented model in which each live state is a node: no component is merged."""
         process, single, width = self.process, spread.quotient, self.width
         rows = single.transitions(1.0, departing=False).matrix  # a discount collapses nothing
         rewards = (process.cost, process.failure, process.goal)

@@ -270,7 +270,10 @@ class UmbArchive:
         return bits.astype(np.bool_)
 
     def _offsets(self, name: str, n_targets: int) -> IntArray:
-        """Return the offsets of each entry's targets, [entries + 1]; without a file one each."""
+        """Return the offsets of each entry's targets, [entries + 1].
+
+        If the archive has no such file, each entry has one target.
+        """
         if name not in self._files:
             return np.arange(n_targets + 1)
         offsets = self._array(name, "<i8", self._size(name, 8))
