@@ -10,11 +10,11 @@ moving probability from outcome o to o', x * (worth(o') - worth(o)); for a cost,
 for a bound, minus its price; for the start, a difference of values. In case S the same holds at
 each accumulated cost, with -c* as the value of the goal, divided by the goal probability.
 
-If the prices are unique but several lotteries are optimal, the derivative to the right is the least
-value of the formula over all optimal lotteries, and that to the left the greatest (Danskin's
-theorem; the reverse for a maximum). Each is a linear program over the optimal actions. If several
-prices are optimal, the formula is evaluated at nearby numbers on both sides, and checked against
-differences of the optimum.
+In case M, if the prices are unique but several lotteries are optimal, the derivative to the right
+is the least value of the formula over all optimal lotteries, and that to the left the greatest
+(Danskin's theorem; the reverse for a maximum). Each is a linear program over the optimal actions.
+Otherwise the formula is evaluated at nearby numbers on both sides, and checked against differences
+of the optimum.
 """
 
 from __future__ import annotations
@@ -544,7 +544,11 @@ class _Optimum:
         None if several prices may be optimal: the vertex has too few pairs for its tight rows. In
         case S all is divided by the goal probability. It is nan if there is no least value.
         """
-        if not self.has_one_price or self.problem.semantics.charge_failing_step:
+        if (
+            not self.has_one_price
+            or self.problem.semantics.charge_failing_step
+            or self.problem.ratio
+        ):
             return None
         from ssp_lp.linear_programming.highs import minimiser
 
