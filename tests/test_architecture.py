@@ -253,7 +253,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 34_342),
+        (house.lines_in_all, 34_346),
         (house.public_classes, 273),
         (house.numeric_constants, 480),
         (house.questions_asked, 12),
@@ -281,7 +281,7 @@ LINES = {
     "formulations/command_line": 833,
     "ssp_lp": 2_297,
     "ssp_lp/accumulated_cost": 2_776,
-    "ssp_lp/analysis": 1_711,
+    "ssp_lp/analysis": 1_715,
     "ssp_lp/column_generation": 2_267,
     "ssp_lp/compiled": 1_856,
     "ssp_lp/distributed": 972,
