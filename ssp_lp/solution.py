@@ -168,9 +168,9 @@ class Solution(Facts, ReadOnlyCopies):
         """Return the derivatives of the optimum by each probability, cost, bound and start.
 
         They are computed from visits and values of the problem's program, which is solved for this
-        purpose. If several lotteries are optimal, the left and the right derivative may differ; in
-        case M they are the extremes over all optimal lotteries. If several prices are optimal, or
-        given success, the program is solved six more times for such a number.
+        purpose. If several lotteries are optimal, the left and the right derivative may differ:
+        they are the extremes over all optimal lotteries. If several prices are optimal, the program
+        is solved six more times for each number.
 
         Args:
             by: maps a :class:`Number` to a group. The numbers of a group change together, since one

@@ -10,11 +10,11 @@ moving probability from outcome o to o', x * (worth(o') - worth(o)); for a cost,
 for a bound, minus its price; for the start, a difference of values. In case S the same holds at
 each accumulated cost, with -c* as the value of the goal, divided by the goal probability.
 
-In case M, if the prices are unique but several lotteries are optimal, the derivative to the right
-is the least value of the formula over all optimal lotteries, and that to the left the greatest
-(Danskin's theorem; the reverse for a maximum). Each is a linear program over the optimal actions.
-Otherwise the formula is evaluated at nearby numbers on both sides, and checked against differences
-of the optimum.
+If the prices are unique but several lotteries are optimal, the derivative to the right is the least
+value of the formula over all optimal lotteries, and that to the left the greatest (Danskin's
+theorem; the reverse for a maximum). Each is a linear program over the optimal actions. If several
+prices are optimal, the formula is evaluated at nearby numbers on both sides, and checked against
+differences of the optimum.
 """
 
 from __future__ import annotations
@@ -544,18 +544,15 @@ class _Optimum:
         None if several prices may be optimal: the vertex has too few pairs for its tight rows. In
         case S all is divided by the goal probability. It is nan if there is no least value.
         """
-        if (
-            not self.has_one_price
-            or self.problem.semantics.charge_failing_step
-            or self.problem.ratio
-        ):
+        if not self.has_one_price or self.problem.semantics.charge_failing_step:
             return None
         from ssp_lp.linear_programming.highs import minimiser
 
-        program = self.measure.program
-        own = 1.0 + np.abs(self.duals.states[program.process.pair_state])  # a far price may be huge
-        linear, best = program.linear, self.duals.reduced_costs <= ROUNDING * own
-        best |= self.measure.visits > ROUNDING
+        program, used = self.measure.program, self.measure.visits > ROUNDING
+        linear, home, above = program.linear, program.process.pair_state, self.duals.reduced_costs
+        room = ROUNDING * (1.0 + np.abs(self.duals.states))  # a far price may be huge
+        np.maximum.at(room, home[used], 2.0 * above[used])  # of used columns it is rounding
+        best = used | (above <= room[home])
         columns = np.flatnonzero(np.append(best, [True] * program.ratio))
         lower, matrix = np.array(linear.lower), linear.matrix[:, columns]
         for place in (linear.rows[name] for name in self._priced):

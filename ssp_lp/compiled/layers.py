@@ -284,7 +284,8 @@ def sweep_blocks(
         owed: as in ``sweep_layers``.
         saved: as in ``sweep_layers``.
         values: of the layers, written, and of later layers, given, [nodes, all layers].
-        measured: likewise, [1 + counted, nodes, all layers]; no nodes: not computed.
+        measured: measures of the same layers, [1 + counted, nodes, all layers]; no nodes: not
+            computed.
         position: the choice among each node's pairs, [layers, nodes].
         keeps: whether the choice is given; values are then not used.
         is_bound: whether lower bounds are computed, rounded down, rather than least values.
@@ -498,6 +499,17 @@ def stream_layers(
     return followed
 
 
+@compiled_loop(inline="always")
+def _add_exactly(sums: Array, j: int, term: float) -> None:
+    """Add a term to a sum and to its rounding error (compensated summation), [sums, 2]."""
+    whole = sums[j, 0] + term
+    if abs(sums[j, 0]) >= abs(term):
+        sums[j, 1] += (sums[j, 0] - whole) + term
+    else:
+        sums[j, 1] += (term - whole) + sums[j, 0]
+    sums[j, 0] = whole
+
+
 @compiled_loop
 def follow_layer(
     mass: Array, position: Array,
@@ -532,14 +544,8 @@ def follow_layer(
         terms[0] = stage
         for j in range(1, terms.size):
             terms[j] = counted[pair, j - 1]
-        for j in range(terms.size):  # compensated summation
-            term = mass[s] * terms[j]
-            whole = sums[j, 0] + term
-            if abs(sums[j, 0]) >= abs(term):
-                sums[j, 1] += (sums[j, 0] - whole) + term
-            else:
-                sums[j, 1] += (term - whole) + sums[j, 0]
-            sums[j, 0] = whole
+        for j in range(terms.size):
+            _add_exactly(sums, j, mass[s] * terms[j])
         first, begin = indptr[pair], begins[pair]
         for k in range(indptr[pair + np.uint64(1)] - first):
             onward[indices[first + k]] += mass[s] * data[begin + k]
@@ -569,7 +575,7 @@ def follow_layers(
                 continue
             here[s] = 0.0
             pair = layers.offsets[s] + np.uint64(position[layer - first, s])
-            for j in range(sums.shape[0]):  # compensated summation
+            for j in range(sums.shape[0]):
                 if j > 0:
                     term = mass * layers.counted[pair, j - 1]
                 else:
@@ -577,12 +583,7 @@ def follow_layers(
                     if layers.growth.size > 0:
                         term += layers.paid[layer] * layers.growth[pair]
                     term *= mass
-                whole = sums[j, 0] + term
-                if abs(sums[j, 0]) >= abs(term):
-                    sums[j, 1] += (sums[j, 0] - whole) + term
-                else:
-                    sums[j, 1] += (term - whole) + sums[j, 0]
-                sums[j, 0] = whole
+                _add_exactly(sums, j, term)
             for k in range(layers.indptr[pair], layers.indptr[pair + np.uint64(1)]):
                 ring[to[layers.classes[k]], layers.nodes[k]] += mass * layers.data[k]
 

@@ -12,6 +12,7 @@ import pytest
 from formulations import ISSPUDE, MCMP, S3P, CVaR, FinitePenalty, MaxProb, MinCost, MinProb
 from refusing import refused
 from ssp_lp import SSP, Change, OutOfTimeError, Parameter, secondary_cost, solve, within_steps
+from ssp_lp.analysis import what_if as analysis_of
 from ssp_lp.plotting import plot_parameter, plot_tornado
 from tests.campaigns import what_if_check
 
@@ -227,6 +228,52 @@ def chain(count=20):
         for k in range(count)
     }
     return SSP.from_transitions(stages | {"pit": {}}, {count}, dead_ends={"pit"})
+
+
+def test_a_chain_given_success_is_solved_once_and_asked_on_both_sides(monkeypatch):
+    problem, programs, solve_program = S3P(chain(), 0, 0.2), [], analysis_of._vertex_in_time
+    monkeypatch.setattr(
+        analysis_of, "_vertex_in_time", lambda *of: programs.append(of) or solve_program(*of)
+    )
+    effects = solve(problem).what_if().effects
+    assert len(programs) <= 2
+    assert {effect.note for effect in effects} == {"", "slope if the lottery does not change"}
+    assert all(effect.right <= effect.left + 1e-6 for effect in effects)
+    found = {effect.number.name: effect for effect in effects}
+    effect = found["chance of 5 by fast in 4"]
+    assert effect.left - effect.right > 1.0
+    by_differences = dict(what_if_check.differences(problem, effect.number.change))
+    assert effect.right == pytest.approx(by_differences["right"], rel=1e-6)
+
+
+def test_a_row_that_the_solver_misses_by_a_trifle_has_its_price(monkeypatch):
+    """HiGHS exceeds the budget of this chain by 1.4e-9: no number needs nearby programs for it."""
+    rng, stages, programs, solve_program = (
+        np.random.default_rng(0),
+        {},
+        [],
+        analysis_of._vertex_in_time,
+    )
+    for k in range(20):
+        p = round(float(rng.uniform(0.02, 0.08)), 3)
+        stages[k] = {
+            "slow": [(0.9, k + 1, 2.0), (0.1, k, 2.0)],
+            "fast": [(0.9 - p, k + 1, 1.0), (0.1, k, 1.0), (p, "pit", 1.0)],
+        }
+    model = SSP.from_transitions(stages | {"pit": {}}, {20}, dead_ends={"pit"})
+    monkeypatch.setattr(
+        analysis_of, "_vertex_in_time", lambda *of: programs.append(of) or solve_program(*of)
+    )
+    report = solve(S3P(model, 0, 0.2)).what_if(lambda number: number.kind)
+    assert len(programs) <= 2
+    assert by_name(report)["bound"].derivative < 0.0
+
+
+@pytest.mark.parametrize("seed", [70089, 70369])
+def test_optimal_lotteries_that_the_solver_misses_by_rounding_count(seed):
+    """Duals off by 1e-10 left out an action that is as good as a used one: sides were wrong."""
+    asked = Namespace(small=False, numbers=1.0)
+    assert not list(what_if_check.check(seed, Counter(), asked))
 
 
 def test_a_huge_penalty_elsewhere_does_not_tie_two_ways():
