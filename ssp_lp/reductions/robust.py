@@ -261,7 +261,7 @@ def worst_means(boxes: Boxes, worth: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def check_ends(model: SSP, kept: BoolArray) -> None:
-    """Raise :class:`ModelError` for states from which nature keeps every policy, [states]."""
+    """Raise :class:`ModelError` if nature can keep runs from some states, [states], from ending."""
     if kept.any():
         raise ModelError(
             f"state {model.states[int(np.argmax(kept))]!r}: the boxes allow probabilities with "
