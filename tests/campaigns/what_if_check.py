@@ -15,6 +15,7 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -159,7 +160,9 @@ def of_the_lottery(problem: Any, effect: Effect) -> Iterator[str]:
     for step in (-0.5, 0.5):
         if slope is not None and effect.number.change.most(problem, step) >= 0.5:
             moved = effect.number.change.applied(problem, step)
-            beside, line = solve(moved, tolerance=EXACT).objective, middle + slope * step
+            beside, line = -np.inf, middle + slope * step
+            with suppress(InfeasibleError):  # the cost of a limit moved, too
+                beside = solve(moved, tolerance=EXACT).objective
             if beside > line + SAME * line:
                 yield f"{problem!r}: {effect.number.name}: {beside!r} at {step:g}, above {line!r}"
 
