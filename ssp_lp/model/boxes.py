@@ -87,10 +87,10 @@ class Boxes(Report, ReadOnlyCopies):
     def from_counts(cls, model: SSP, confidence: float = 0.95) -> Boxes:
         """Return the intervals of Clopper and Pearson (1934) that hold jointly.
 
-        The error is divided equally among the intervals (union bound). A pair with one successor
-        needs no interval. A pair with two successors needs one, since the other is its complement.
-        Only outcomes of the table are possible: for a successor that is possible but was never
-        seen, add a row with count 0.
+        The probability of error, 1 - ``confidence``, is divided equally among the intervals (union
+        bound). A pair with one successor needs no interval. A pair with two successors needs one
+        interval, since the other one is its complement. A successor without a row in the table of
+        counts is impossible: if it is possible but was never seen, add a row with count 0.
 
         Args:
             model: model made by :meth:`ssp_lp.SSP.from_counts`.
@@ -144,7 +144,7 @@ class Boxes(Report, ReadOnlyCopies):
         return f"Boxes({self.model!r}, widest {width:.3g}{sure})"
 
     def tables(self) -> Sequence[Table]:
-        """Return a table of counts, probabilities and intervals, with notes on wide boxes."""
+        """Return a table of counts, probabilities and intervals, with notes on too few data."""
         model = self.model
         pair = segment_ids(model.outcome_offsets)
         counts = np.full(len(pair), np.nan) if model.counts is None else model.counts
@@ -158,7 +158,7 @@ class Boxes(Report, ReadOnlyCopies):
         return [Table(rows, head, title, self._remarks(), left=3)]
 
     def _remarks(self) -> list[str]:
-        """Return notes on weak data: successors never seen, pairs with few counts."""
+        """Return notes on successors that were never seen and on pairs with few observations."""
         model, counts = self.model, self.model.counts
         if counts is None or self.confidence is None:
             return []
@@ -213,13 +213,13 @@ def posterior_draws(
 
 
 def forced(low: FloatArray, high: FloatArray, chosen: BoolArray, offsets: IntArray) -> BoolArray:
-    """Return the boxes in which every distribution has mass on chosen entries, [boxes].
+    """Return a mask of the boxes whose every distribution has mass on the chosen entries, [boxes].
 
     Args:
-        low: [entries].
-        high: [entries].
-        chosen: [entries].
-        offsets: the box of segment k has the entries ``offsets[k] : offsets[k + 1]``.
+        low: least probability of each entry, [entries].
+        high: greatest probability of each entry, [entries].
+        chosen: mask of the chosen entries, [entries].
+        offsets: box k has the entries ``offsets[k] : offsets[k + 1]``, [boxes + 1].
     """
     mass = segment_sums(np.where(chosen, low, 0.0), offsets)
     room = segment_sums(np.where(chosen, 0.0, high), offsets)
@@ -229,15 +229,16 @@ def forced(low: FloatArray, high: FloatArray, chosen: BoolArray, offsets: IntArr
 def greatest_mean(
     low: FloatArray, high: FloatArray, worth: FloatArray, offsets: IntArray
 ) -> FloatArray:
-    """Return the probabilities within boxes that maximise the mean of a worth, [entries].
+    """Return the distribution in each box that has the greatest mean of given values, [entries].
 
-    Each entry first gets its least probability; the rest of the mass goes to the best entries.
+    Each entry first gets its least probability. The remaining mass goes to the entries of greatest
+    value, each up to its greatest probability.
 
     Args:
-        low: [entries].
-        high: [entries].
-        worth: [entries].
-        offsets: the box of segment k has the entries ``offsets[k] : offsets[k + 1]``.
+        low: least probability of each entry, [entries].
+        high: greatest probability of each entry, [entries].
+        worth: value of each entry, [entries].
+        offsets: box k has the entries ``offsets[k] : offsets[k + 1]``, [boxes + 1].
     """
     order, lengths = np.lexsort((-worth, segment_ids(offsets))), np.diff(offsets)
     chosen, missing = np.array(low), 1.0 - segment_sums(low, offsets)

@@ -49,10 +49,11 @@ Moved = tuple[World, IntArray, FloatArray]
 class Axis:
     """A coordinate: the interval from low to high in equal cells, numbered upwards from 0.
 
-    A point between two cells belongs to the upper one. On a periodic axis, such as an angle, low
-    and high are the same point and every number lies in some cell; to centre the cells of a
-    heading on multiples of their width, begin half a width below 0. ``split_edges``: a point of a
-    quadrature between two cells counts half in each, which preserves mirror symmetries.
+    A point on the edge between two cells belongs to the upper one. On a periodic axis, such as an
+    angle, low and high are the same point, and every number lies in some cell. To centre the cells
+    of an angle on multiples of their width, let ``low`` be minus half a width. With
+    ``split_edges``, a point of a quadrature on an edge counts half in each of the two cells, which
+    preserves mirror symmetries.
     """
 
     low: float
@@ -76,27 +77,27 @@ class Axis:
         return (self.high - self.low) / self.cells
 
     def misses(self, heights: FloatArray) -> BoolArray:
-        """Return a mask of coordinates, in widths of a cell, that are not on the axis, or NaN."""
+        """Return a mask of heights (distances above low, in cell widths) off the axis, or NaN."""
         if self.periodic:
             return ~np.isfinite(heights)
         return ~((heights >= -ON_EDGE) & (heights <= self.cells + ON_EDGE))
 
     def above(self, heights: FloatArray) -> IntArray:
-        """Return the cell at each height (in widths of a cell), the upper one on an edge."""
+        """Return the cell at each height above low, in cell widths; on an edge the upper cell."""
         return self._numbered(np.floor(heights + ON_EDGE))
 
     def below(self, heights: FloatArray) -> IntArray:
-        """Return the cell at each height (in widths of a cell), the lower one on an edge."""
+        """Return the cell at each height above low, in cell widths; on an edge the lower cell."""
         return self._numbered(np.ceil(heights - ON_EDGE) - 1.0)
 
     def wrapped(self, values: FloatArray) -> FloatArray:
-        """Return the coordinates of a periodic axis within low and high; others unchanged."""
+        """Return values on a periodic axis moved into [low, high); on another axis unchanged."""
         if not self.periodic:
             return values
         return self.low + np.mod(values - self.low, self.high - self.low)
 
     def _numbered(self, cells: FloatArray) -> IntArray:
-        """Return the indices of cells, clipped to the axis."""
+        """Return indices of cells within the axis: wrapped if it is periodic, else clipped."""
         if self.periodic:
             inside = cells - self.cells * np.floor(cells / self.cells)
         else:
@@ -154,7 +155,7 @@ class Grid:
 
     @explained
     def place(self, state: int) -> tuple[int, int] | None:
-        """Return a state's position along the first two axes, for pictures; None for ends.
+        """Return a state's position along the first two axes, for pictures; None for the ends.
 
         Raises:
             ModelError: the grid has one axis, or no state has this number.
@@ -184,7 +185,7 @@ class Grid:
         return int(cells) if cells.ndim == 0 else cells
 
     def heights(self, coordinates: Coordinates) -> Coordinates:
-        """Return the coordinates of points above the low ends, in widths of a cell."""
+        """Return the distances of coordinates above the low end of their axis, in cell widths."""
         return tuple(
             np.asarray((values - axis.low) * (axis.cells / (axis.high - axis.low)))
             for axis, values in zip(self.axes, coordinates, strict=True)
@@ -200,10 +201,10 @@ class Grid:
         return missed
 
     def numbers_about(self, heights: Coordinates, *, split: bool = True) -> list[IntArray]:
-        """Return the cells among which each point is divided equally, in 1, 2, 4, ... arrays.
+        """Return the cells of each point, in one array or, where edges are split, in 2, 4, ... .
 
-        A point has several cells only on an edge of an axis with ``split_edges``. Otherwise it has
-        one cell; on an edge, the upper one.
+        A point on an edge of an axis with ``split_edges`` counts equally in the cells on both
+        sides: each array holds one of them. On other edges a point belongs to the upper cell.
         """
         parts: list[list[IntArray]] = []
         for axis, stride, values in zip(self.axes, self.strides, heights, strict=True):
@@ -310,7 +311,7 @@ Allowed = Callable[[Coordinates, Any], npt.ArrayLike]
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class ContinuousModel:
-    """Continuous coordinates, a step function, and the grid of cells by which policies decide.
+    """A continuous world: coordinates, a step function, and a grid of cells for its policies.
 
     **The step function** is called with one action and many points at a time:
     ``step(point, action, noise) -> (new point, cost, end)``. ``point`` holds one array for each
@@ -330,15 +331,14 @@ class ContinuousModel:
         outside: the dead-end of a step that leaves the box; None: such a step is an error.
         alike: function that groups pairs with exactly equal outcomes, so that each group is
             computed once. It maps (positions of cells along each axis, positions of actions) to
-            whole numbers >= 0, equal for the pairs of a group, and not many more than there are
-            pairs.
+            the number of the group, a whole number >= 0 (small numbers need less memory).
         allowed: function that says which actions a cell has: ``allowed(point, action) -> truth
             values``, called with the midpoints of many cells, an array for each axis. The answer at
             the midpoint holds for the whole cell, in the model and in the simulated world; ``step``
             is called for allowed pairs only. None: every action in every cell.
 
-    The model that :func:`~ssp_lp.model.discretise.discretise` makes of it has the
-    cells as states 0, 1, ..., then the goal, then the dead-ends (:meth:`end_state`).
+    The states of the model that :func:`~ssp_lp.model.discretise.discretise` makes of it are the
+    cells 0, 1, ..., then the goal, then the dead-ends (:meth:`end_state`).
     """
 
     grid: Grid
@@ -399,7 +399,7 @@ class ContinuousModel:
             answer = np.asarray(self.allowed(middles, action))
             if answer.dtype != np.bool_ or answer.shape not in ((), (count,)):
                 raise ModelError(
-                    f"allowed must return a truth value for each of {count:,} middles, not "
+                    f"allowed must return a truth value for each of {count:,} midpoints, not "
                     f"{in_short(answer)}"
                 )
             there[:, k] = answer
@@ -429,7 +429,7 @@ class ContinuousModel:
 
 
 class _Taken(NamedTuple):
-    """Result of a step; every array has the points' dimensions and broadcasts to them."""
+    """Result of a step from many points; every array broadcasts to the shape of the points."""
 
     point: Coordinates
     heights: Coordinates  # in widths of a cell above the low ends; 0 if off the axis
@@ -450,7 +450,7 @@ def take_step_in_world(
         model: the world.
         point: an array for each axis, with as many dimensions as ``shape``, broadcasting to it.
         action: position of the action among the model's actions.
-        noise: an array for each random number, of such a shape.
+        noise: an array for each random number, shaped like those of ``point``.
         shape: common shape of the points.
 
     Raises:
@@ -513,7 +513,7 @@ def _read_world(
 
 
 def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[Any]:
-    """Return a value in the answer of a step function as an array with the points' dimensions."""
+    """Return an array from a step function with as many dimensions as ``shape``, checked."""
     array = np.asarray(answer)
     array = array.reshape((1,) * (len(shape) - array.ndim) + array.shape)
     fits = array.ndim == len(shape) and all(
@@ -530,12 +530,12 @@ def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> 
 @explained_class
 @dataclass(frozen=True, eq=False)
 class WorldSimulator:
-    """Simulator of the world itself: ``simulate(..., simulator=WorldSimulator(...))``.
+    """Simulator of the continuous world: ``simulate(..., simulator=WorldSimulator(...))``.
 
-    The episodes do not depend on the grid model, so the interval that ``simulate`` returns for the
-    probability of the goal (Clopper and Pearson's, exact for every probability and number of
-    episodes) holds for the policy in the world. A policy that gives up ends its episode, as a
-    failure.
+    Episodes are played by the step function, not in the discretised model. So the interval that
+    ``simulate`` returns for the probability of the goal holds for the policy in the continuous
+    world; it is that of Clopper and Pearson, exact for every number of episodes. An episode in
+    which the policy gives up ends as a failure.
 
     Attributes:
         world: the continuous model.
@@ -546,7 +546,7 @@ class WorldSimulator:
     start: Sequence[float | Distribution]
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` for no world, or a start with a wrong number of coordinates."""
+        """Raise :class:`ModelError` for another type, or a wrong number of start coordinates."""
         check_fields(self)
         axes = self.world.grid.axes
         if len(self.start) != len(axes):
@@ -580,8 +580,8 @@ class WorldSimulator:
         """Take a step from coordinates, [k, axes], by pairs, [k].
 
         Returns:
-            The coordinates, those of periodic axes within the box, the states of the grid model,
-            and the costs, [k] each.
+            The new coordinates, [k, axes] (on a periodic axis moved into the box by whole
+            periods); the states of the discretised model, [k]; and the costs, [k].
         """
         model, grid = self.world, self.world.grid
         levels = rng.random((len(pair), len(model.noise)))

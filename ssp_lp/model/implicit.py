@@ -1,9 +1,9 @@
 """The explored part of an implicit model: the states found so far, and a solvable model of them.
 
-Each state of the fringe (found, but not expanded) has two ways out. "Arrive" reaches the goal with
-probability 1 - failure bound at the cost bound, "fail" is lost at no cost. No real continuation
-does better than a mixture of the two, so a bound of the explored part is a bound of the whole
-model.
+Each state of the fringe (found, but not expanded) has two actions. "Arrive" pays the state's cost
+bound and reaches the goal with probability 1 - failure bound. "Fail" never reaches the goal, at no
+cost. No continuation in the whole model is better than a mixture of the two, so a bound of the
+explored part's optimum is a bound of the whole model's optimum.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class Exploration:
         self._look_at([0.0] * len(self.flat.states))
 
     def grow(self, wanted: Iterable[int], most: float) -> None:
-        """Expand the given states, then those with the least cost paid plus cost bound.
+        """Expand the given states, then states in the order of A*: least cost so far plus bound.
 
         Args:
             wanted: numbers of states.
@@ -235,10 +235,10 @@ class Exploration:
         """Return the explored part as a model.
 
         Args:
-            survival: factor of every step, under a discount.
-            may_end: whether expanded states that reach the goal only through the fringe may be
-                dead-ends after all; failing is free in them unless ``charged``.
-            charged: whether such a dead-end costs its cheapest action.
+            survival: discount factor; 1 without a discount.
+            may_end: whether an expanded state that reaches the goal only through the fringe may
+                turn out to be a dead-end; it then has a further action "fail".
+            charged: whether this action costs as much as the state's cheapest action; else 0.
         """
         is_goal = np.array(self.is_goal, dtype=np.bool_)
         fringe = np.flatnonzero(~np.array(self.is_expanded, dtype=np.bool_))
@@ -288,7 +288,7 @@ class Exploration:
         """Return the actions of the expanded states.
 
         Args:
-            rows: position in the explored part of each state found, [states found].
+            rows: position of each found state in the explored part, [states found].
         """
         flat = self.flat.arrays
         counts, lengths = np.diff(flat["pair_offsets"]), np.diff(flat["outcome_offsets"])
@@ -304,10 +304,10 @@ class Exploration:
         """Return the action "fail" of expanded states that reach the goal only through the fringe.
 
         Args:
-            own: actions of the expanded states, which come first.
-            numbers: of all states found, in the order of the explored part.
-            n_live: number of the expanded states and the fringe; the goals come last.
-            charged: whether failing costs a state's cheapest action.
+            own: actions of the expanded states, which are the first states.
+            numbers: numbers of all found states, in the order of the explored part.
+            n_live: number of states before the goals: the expanded ones and the fringe.
+            charged: whether "fail" costs as much as the state's cheapest action; else 0.
         """
         lengths, targets, chances, costs = own.outcomes
         pairs = offsets_of(np.bincount(own.owner, minlength=numbers.size))
@@ -327,13 +327,13 @@ class Exploration:
     def _ways_out(
         self, fringe: IntArray, n_expanded: int, survival: float, names: list[str]
     ) -> _Ways:
-        """Return the two ways out of each state of the fringe: "arrive" at its bounds, and "fail".
+        """Return the actions "arrive" and "fail" of each state of the fringe.
 
         Args:
-            fringe: numbers of the states, which come after the expanded ones.
-            n_expanded: number of these.
-            survival: factor of the step.
-            names: of costs.
+            fringe: numbers of the states of the fringe, which follow the expanded states.
+            n_expanded: number of expanded states.
+            survival: discount factor, by which the cost bound is multiplied.
+            names: names of the costs.
         """
         beyond = len(self.is_goal)
         fails = np.array(self.failure_bounds)[fringe]
