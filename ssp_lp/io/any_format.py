@@ -1,4 +1,4 @@
-"""Reading and writing models in any known format, chosen by the ending of the file's name."""
+"""Reading and writing models in any supported format; the ending of a file's name chooses it."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ def read_any(
     constants: Constants | None = None,
     dead_ends: DeadEnds | None = None,
 ) -> StatedModel:
-    """Read a model from a file, whose format is the ending of its name.
+    """Read a model from a file; the ending of its name gives the format.
 
     Programs (.prism, .nm, .pm, .jani) are read through Storm (the extra ``storm``).
 
     Args:
         path: the file.
-        goal: name or names of the goal states, or a label of them if the format has labels, or a
-            condition on the variables of a program.
-        cost: name of the cost that counts, if the format has several; None: the only one; "*": the
-            first. The others are the model's ``named_costs``.
+        goal: the goal states: one or several names of states, the label of a set of states if the
+            format has labels, or a condition on the variables of a program.
+        cost: name of the cost that problems minimise, if the file has several; None: the only one;
+            "*": the first. The others are in the model's ``named_costs``.
         constants: constants of a program, "N=5,p=0.1" or by name.
         dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
             Any other state without actions that is not a goal is then an error.
@@ -104,13 +104,13 @@ def _csv_model(
 
 @explained
 def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
-    """Write a model to a file, whose format is the ending of its name.
+    """Write a model to a file; the ending of its name gives the format.
 
     Args:
         model: the model.
         path: the file.
-        start: where episodes begin. An .npz file does not contain it, .json may, and the others
-            need exactly one state.
+        start: where episodes begin. It is not written to an .npz file, optional for .json, and
+            must be one state for all other formats.
 
     Raises:
         ModelError: an unknown ending, no start, or names that cannot be written.
@@ -131,7 +131,7 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
 
 
 def _ending_of(file: Path, endings: Sequence[str]) -> str:
-    """Return the one of these endings that a file's name has; else raise :class:`ModelError`."""
+    """Return the ending of a file's name; raise :class:`ModelError` if it is not in the list."""
     for ending in endings:
         if file.name.endswith(ending):
             return ending

@@ -1,9 +1,9 @@
 """A policy as one C99 header: tables, and a function that looks up actions, without allocation.
 
 ``policy.h`` beside this file is the template of the header. States and actions are numbers, in the
-order of the model. A small struct has the memory of an episode, apart from the total paid: the
-member of a lottery that plays it, the tail followed beyond the cap, whether it has given up, and
-the level to which a total was rounded.
+order of the model. The caller keeps the total cost paid in an episode. A small struct holds the
+rest of its memory: the member of the lottery that plays, the tail policy followed beyond the cap,
+whether the policy has given up, and the level to which the total was rounded.
 """
 
 from __future__ import annotations
@@ -103,14 +103,17 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
 
 
 def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
-    """Return the fields of a member's struct by name, without ``upto``; a list is a table.
+    """Return the fields of the C struct of a lottery's member, except its share ``upto``.
 
     Args:
-        stated: the member as in a controller's file.
+        stated: the member as a controller's file describes it.
         policy: the member.
 
+    Returns:
+        Field -> number, or list of the numbers of a table.
+
     Raises:
-        ModelError: the struct has no place for its memory.
+        ModelError: the struct does not support the member's memory.
     """
     memory, decision = stated["memory"], stated["decision"]
     cap = 0 if memory is None else memory.get("cap", -1)
@@ -142,7 +145,7 @@ def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
 
 
 def _c_string(text: str) -> str:
-    """Return a text as a C literal; octal escapes stand for all but a few bytes of its UTF-8."""
+    """Return a text as a C string literal in UTF-8, with octal escapes for unusual bytes."""
     plain = (chr(b) if chr(b).isalnum() or chr(b) in " _-+,.:()" else "" for b in range(128))
     known = dict(enumerate(plain))
     return '"' + "".join(known.get(b) or f"\\{b:03o}" for b in text.encode()) + '"'

@@ -167,7 +167,7 @@ def _is_jani(program: Any) -> bool:
 
 
 def _reward_names(program: Any) -> list[str]:
-    """Return the names of a program's rewards, which in JANI are its transient numbers."""
+    """Return the names of a program's rewards: in JANI its transient variables that are numbers."""
     if not _is_jani(program):
         return sorted(reward.name for reward in program.reward_models)
     numbers = [v for v in program.global_variables if v.is_transient]
@@ -221,10 +221,11 @@ def _differs_between_outcomes(program: Any, cost: str) -> bool:
 
 
 def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
-    """Return the variables that Storm adds to those of a program in JANI; others get none.
+    """Return the variables that Storm adds to the states of a JANI program.
 
     Returns:
-        The names of their locations; None: the variable distinguishes no states.
+        Variable -> names of the automaton's locations that its values stand for; None if the
+        variable does not distinguish states. Empty for a program that is not in JANI.
     """
     added: dict[str, list[str] | None] = {}
     if not _is_jani(program):
@@ -289,7 +290,7 @@ def _model_of_storm(
         cost: as in :func:`from_stormpy`.
         source: name of the model in errors.
         dead_ends: as in :func:`from_stormpy`.
-        program: the program that Storm explored, to whose variables it added some.
+        program: the program that Storm explored, if any, to recognise variables that Storm added.
 
     Raises:
         ModelError: see :func:`from_stormpy`.

@@ -244,13 +244,15 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
 def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """Write a model as a DRN file for Storm, packed if the name ends in .gz or .xz.
 
-    State k of the file is the k-th of ``model.states``. Each cost is an action reward, the model's
-    own first, called "cost" if it has no name. If outcomes of an action differ in cost, the action
-    pays the least, and a more expensive outcome leads through a state labelled "paying" that pays
-    the rest: each run keeps its total, and our readers remove the state again. (In other tools, a
-    quantity counted up to a failure may lack the rest of the step that fails.) Goal states are
-    labelled "goal", dead-ends "deadlock", the start "init"; goal states and dead-ends get a free
-    loop.
+    State k of the file is the k-th of ``model.states``. Each cost is written as an action reward,
+    the model's own first, called "cost" if it has no name. Goal states are labelled "goal",
+    dead-ends "deadlock", the start "init"; goal states and dead-ends get a loop of cost 0.
+
+    DRN has one reward for each action. If outcomes of an action differ in cost, the action pays the
+    least of them, and a more expensive outcome leads through an extra state labelled "paying",
+    which pays the rest. The total cost of a run is unchanged, and the readers of this library
+    remove these states. (In other tools, a quantity counted up to a failure may lack the rest of
+    the step that fails.)
 
     Args:
         model: the model.
