@@ -45,8 +45,8 @@ class CriterionRow:
         """Numbers of a compared criterion: objective, costs, failure probability and price.
 
         Each row follows the semantics of its criterion. By default ``MCMP`` and ``ConstrainedCost``
-        charge the failing step. The other criteria do not, so the same policy may cost less in
-        their rows.
+        charge the step at which failure is declared. The other criteria do not, so a policy may
+        cost less in their rows.
         ``FinitePenalty`` and ``AlphaMCMP`` let a policy give up anywhere.
         """
         solution = self.solution
@@ -149,7 +149,7 @@ def compare_criteria(
     """
 
     def asked(criterion: type[Any], words: str, *given: Any, **named: Any) -> tuple[str, Problem]:
-        """Return a compared criterion's name and problem."""
+        """Return the name of a row, such as "MCMP, failure budget 0.05", and its problem."""
         problem = criterion(model, start, *given, horizon=horizon, **named)
         return f"{criterion.__name__}{words}", problem
 

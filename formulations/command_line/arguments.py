@@ -68,13 +68,13 @@ def _number_or_none(text: str) -> float | None:
 
 
 def _budgets_argument(text: str) -> float | list[float | None] | None:
-    """Return a number, None for "none", or a list of these for several between commas."""
+    """Return a number, None for "none", or the list of these for a text with commas."""
     several = [_number_or_none(one) for one in text.split(",")]
     return several if len(several) > 1 else several[0]
 
 
 def _criterion_argument(text: str) -> str:
-    """Return the key in ``CRITERIA`` of a name such as ``min-cost``, ``MinCost``, ``min_cost``."""
+    """Return the key in ``CRITERIA`` of a name in any spelling: ``min-cost``, ``MinCost``."""
     letters = re.sub("[-_]", "", text).lower()
     return next((name for name in CRITERIA if name.replace("-", "") == letters), text)
 
@@ -115,7 +115,7 @@ PARAMETERS = {
     "quantity": _Option("quantity to minimise, as in --limit", str, "QUANTITY"),
     "discount": _Option("of the paper's surrogate, in (0, 1), or none", _number_or_none, "GAMMA"),
     "give_up": _Option("giving up: anywhere, attention (states), dead_ends", str, "WHERE"),
-    "charge_failing_step": _Option("pay for the failing step"),
+    "charge_failing_step": _Option("pay for the step at which failure is declared"),
     "cost_cap": _Option("distinguish total costs up to this one", _float_argument, "COST"),
     "cost_levels": _Option("number of total costs to distinguish", int, "N"),
 }
@@ -229,7 +229,7 @@ Options = dict[str, dict[str, Any]]
 
 
 def _add_all(place: Any, options: Options) -> None:
-    """Add options to a parser or a group, and tell the shells' completion which are files."""
+    """Add options to a parser or a group; shells complete the names of files and models."""
     for name, settings in options.items():
         added = place.add_argument(name, **settings)
         if settings.get("metavar") in ("MODEL", "FILE"):
@@ -252,7 +252,7 @@ _QUESTION: Options = {
         _criterion_argument, choices=tuple(CRITERIA), default="mcmp",
     ),
     "--property": _taken(
-        'the same in PRISM\'s words: multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])', "WORDS"
+        'problem in PRISM\'s words: multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])', "WORDS"
     ),
     **{
         option(name): _switch(each.help, action=BooleanOptionalAction, default=SUPPRESS)
@@ -295,7 +295,7 @@ _MODEL: Options = {
         nargs="+",
     ),
     "--start": _taken("state in which an episode begins", "STATE"),
-    "--cost": _taken("name of the cost that counts", "NAME"),
+    "--cost": _taken("name of the cost to minimise", "NAME"),
     "--constants": _taken("constants that a program leaves open", "N=5,..."),
     "--horizon": _taken(
         "reach the goal within N steps; default: an environment's own limit, or none", "N",
@@ -309,7 +309,7 @@ _SOLVE: dict[str, Options] = {
     "the search": {
         "--method": _taken(", ".join(_METHODS), "NAME", choices=_METHODS),
         "--tolerance": _taken("relative gap to reach; 1e-9", "GAP", float, default=1e-9),
-        "--time-limit": _taken("time limit; then the best policy so far", "SECONDS", float),
+        "--time-limit": _taken("stop then, with the best policy so far", "SECONDS", float),
     },
     "the answer": {
         "--policy-out": _taken(
@@ -332,7 +332,7 @@ _TRACE: Options = {
     ),
     "--gap": _taken("relative gap to reach; 1e-9", "GAP", float, default=1e-9),
     "--point-limit": _taken("greatest number of turning points", "N", int),
-    "--time-limit": _taken("time limit; then the frontier so far", "SECONDS", float),
+    "--time-limit": _taken("stop then, with the frontier so far", "SECONDS", float),
 }  # fmt: skip
 
 _EXPLORE: Options = {
@@ -412,7 +412,7 @@ VERBS = {
             "the question": _QUESTION,
             "": {
                 "--plot": _taken("draw a tornado of the numbers that matter most", "FILE"),
-                "--time-limit": _taken("limit; then the derivatives so far", "SECONDS", float),
+                "--time-limit": _taken("stop then, with the derivatives so far", "SECONDS", float),
             },
         },
         """\
