@@ -226,7 +226,7 @@ _OPERATOR = re.compile(
     r"(?P<relation>max\s*=\s*\?|min\s*=\s*\?|>=|<=)\s*(?P<bound>[^\s\[]*)\s*\[\s*(?:C|F\s*"
     r'(?:<=\s*(?P<steps>\d+)\s*)?\(?(?P<target>"[^"]+"|[^\]]+?)\)?)\s*\]\s*'
 )
-_TAKEN = 'such as multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"], P<=0.01 [F "crash"])'
+_TAKEN = 'multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"], P<=0.01 [F "crash"])'
 
 
 class _Operator(NamedTuple):
@@ -302,7 +302,7 @@ def _operators_in(words: str) -> list[_Operator]:
     for one in re.split(r"(?<=\])\s*,", several[1]) if several else [words]:
         found = _OPERATOR.fullmatch(one)
         if found is None:
-            raise ModelError(f"{one.strip()!r} is not a supported property, {_TAKEN}")
+            raise ModelError(f"{one.strip()!r} is not a supported property; one is {_TAKEN}")
         named = _Operator(one.strip(), *found.groups())
         relation, target = re.sub(r"\s", "", named.relation), named.target
         try:

@@ -110,8 +110,8 @@ def _header_of(archive: Any, kind: str) -> Any:
     """Return the header of an archive that numpy has opened.
 
     Raises:
-        ModelError: it is too large, of another kind of file, or of a later version than this
-            library reads.
+        ModelError: the header is too large, belongs to another kind of file, or has a later version
+            than this library reads.
     """
     header: Any = None
     if _HEADER in archive.files:

@@ -107,8 +107,8 @@ class Controller:
         Args:
             seed: seed of the lottery and of random actions; None: continue with the generator.
             world: "model": it is an error to ask for an action in a state other than the observed
-                one, or to observe twice after one action. "other": both are accepted. Whether the
-                model has an observed step is not checked: the file does not list its steps.
+                one, or to observe twice after one action. "other": both are accepted. In
+                both cases observed steps are not compared with the model, which is not in the file.
 
         Raises:
             ValueError: another value of ``world``.

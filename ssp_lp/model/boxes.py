@@ -74,8 +74,8 @@ class Boxes(Report, ReadOnlyCopies):
         wrong |= (least > 1.0 + PROBABILITY_SUM) | (most < 1.0 - PROBABILITY_SUM)
         if wrong.any():
             named = model.describe_pair(int(pair[int(np.argmax(wrong))]))
-            raise ModelError(f"{named}: no probabilities lie within its box: 0 <= low <= high <= 1"
-                             " with sums of low at most 1 and of high at least 1")  # fmt: skip
+            raise ModelError(f"{named}: no distribution lies in its box: it must have 0 <= low <= "
+                             "high <= 1, a sum of low <= 1 and a sum of high >= 1")  # fmt: skip
         forced, left = 1.0 - (most - high), 1.0 - (least - low)
         narrowed = {"low": np.where(forced > low + FORCED, forced, low),
                     "high": np.where(left < high - FORCED, left, high)}  # fmt: skip
@@ -213,7 +213,7 @@ def posterior_draws(
 
 
 def forced(low: FloatArray, high: FloatArray, chosen: BoolArray, offsets: IntArray) -> BoolArray:
-    """Return a mask of the boxes whose every distribution has mass on the chosen entries, [boxes].
+    """Return a mask of the boxes in which every distribution has mass on chosen entries, [boxes].
 
     Args:
         low: least probability of each entry, [entries].

@@ -69,7 +69,7 @@ class Axis:
             raise ModelError(f"an axis needs a whole number of cells >= 1, not {cells}")
         check_fields(self)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
-            raise ModelError(f"an axis must run from low to a greater high: {self!r}")
+            raise ModelError(f"an axis needs a finite low and a greater high: {self!r}")
 
     @property
     def width(self) -> float:
@@ -144,7 +144,7 @@ class Grid:
         """Return the position of each cell along each axis; :class:`ModelError` if unknown."""
         given = np.asarray(cells)
         if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
-            raise ModelError(f"cells are whole numbers 0 .. {self.n_cells - 1}; ends are no cells")
+            raise ModelError(f"cells are 0 .. {self.n_cells - 1}; goal and dead-ends are not cells")
         return np.unravel_index(given, self.shape)
 
     @explained
@@ -161,7 +161,7 @@ class Grid:
             ModelError: the grid has one axis, or no state has this number.
         """
         if len(self.axes) < 2:
-            raise ModelError("grid.place needs two axes: a picture has two directions")
+            raise ModelError("grid.place needs a grid of at least two axes")
         if state >= self.n_cells:
             return None
         first, second = self.index_of(state)[:2]
@@ -421,10 +421,10 @@ class ContinuousModel:
         """
         names = ("goal", *self.dead_ends)
         if isinstance(end, str) and end not in names:
-            raise ModelError(f"{end!r} is not an end; there are {', '.join(names)}")
+            raise ModelError(f"{end!r} is not an end; ends are {', '.join(names)}")
         number = names.index(end) + 1 if isinstance(end, str) else int(end)
         if not 1 <= number <= len(names):
-            raise ModelError(f"{end!r} is not an end; there are 1 .. {len(names)}")
+            raise ModelError(f"{end!r} is not an end; ends are 1 .. {len(names)}")
         return self.grid.n_cells + number - 1
 
 

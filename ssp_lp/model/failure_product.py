@@ -108,7 +108,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def priced(self) -> BoolArray:
-        """Mask of pairs; the cheapest of a state's gives the charge of failing there, [pairs]."""
+        """Mask of pairs of which a state's cheapest is the charge of failing there, [pairs]."""
         before = ~np.append(self.is_open, np.ones(self.n_original, dtype=np.bool_))
         return self.fails | (before[self.pair_state] & self.charged[self.original_pair])
 
@@ -135,7 +135,7 @@ class FailureSSP(ProductSSP):
 
     @property
     def staying_after(self) -> IntArray:
-        """Original pairs that a run may repeat for ever after failing, at no count, [entries]."""
+        """Original pairs that a failed run may repeat for ever without adding to any quantity."""
         return self.original_pair[self._staying & self.after[self.pair_state]]
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
@@ -156,7 +156,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def _places(self) -> IntArray:
-        """Copies of original pairs: plain, after failing, or failing by it, [3, original pairs]."""
+        """Copies of pairs: plain, after failing, setting the label, [3, original pairs]."""
         places = np.full((3, self.original.n_pairs), -1, dtype=np.int64)
         kind = np.where(self.fails, 2, self.after[self.pair_state].astype(np.int64))
         places[kind, self.original_pair] = np.arange(self.n_pairs)
@@ -251,5 +251,5 @@ def check_label(model: SSP) -> FailureSSP:
         ModelError: it is another model.
     """
     if model.failure_label is None:
-        raise ModelError("the policy does not go on after failing: its problem counts nothing then")
+        raise ModelError("the problem counts no quantities after failing: its policies end there")
     return model.failure_label

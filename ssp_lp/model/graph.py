@@ -205,7 +205,9 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
 def surely_ending(
     model: Graph, ends: BoolArray, leading: BoolArray, hopeless: BoolArray | None = None
 ) -> tuple[BoolArray, BoolArray, IntArray]:
-    """Return what :func:`surely_reaching` returns, for given ends in place of the goal.
+    """Return the states from which some policy surely reaches an end, and a policy.
+
+    The results are those of :func:`surely_reaching`, with ``ends`` in place of the goals.
 
     Args:
         model: the graph.

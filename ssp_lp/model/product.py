@@ -189,7 +189,7 @@ class ProductSSP(SSP):
 
         Args:
             states: states of the product, [entries].
-            pairs: original pairs, each a pair of its state's original, [entries].
+            pairs: original pairs, each belonging to the original of its state, [entries].
         """
         shift = self.pair_offsets[states] - self.original.pair_offsets[self.original_state[states]]
         return np.asarray(pairs + shift)
@@ -254,7 +254,7 @@ class ProductSSP(SSP):
         return self.successors[place].astype(np.int64), place
 
     def places_of(self, state: Hashable) -> IntArray:
-        """Return the product's state with a label; for an original state all (state, memory) of it.
+        """Return the product's state with a label; for an original state, all its product states.
 
         Raises:
             ModelError: neither the product nor the original has a state with the label.

@@ -420,7 +420,7 @@ class SSP(Graph, ReadOnlyCopies):
 
         The counts of rows of the same outcome are added up. ``Boxes.from_counts(model)`` gives an
         interval for each probability. ``posterior_draws(model, 100, seed=0)`` draws models that are
-        likely by the counts.
+        likely given the counts.
 
         Args:
             table: a frame or a dict of columns, as in :meth:`from_frame`, or rows ``(state,
@@ -774,7 +774,7 @@ class SSP(Graph, ReadOnlyCopies):
             return self.action_names[int(self.pair_action[pair])]
         except (IndexError, TypeError) as error:
             last = len(self.pair_action) - 1
-            raise ModelError(f"{pair!r} is not a pair: they are 0 .. {last}") from error
+            raise ModelError(f"{pair!r} is not a pair: pairs are 0 .. {last}") from error
 
     def pairs_of(self, state: int) -> range:
         """Return the pairs of a state."""
@@ -807,7 +807,7 @@ class SSP(Graph, ReadOnlyCopies):
         return self.describe_pair(pair)
 
     def of_all_states(self, made: FloatArray) -> FloatArray:
-        """Return values of all states, [states], from those that the pairs held here give.
+        """Return the values of all states, [states], given those of the states held here.
 
         An ordinary model holds all pairs, so the values are returned unchanged. A model that is
         divided among processes overrides this to join the values of its parts.
@@ -1005,7 +1005,7 @@ class FlatModel:
         if any(len(paid) < len(costs) for paid in flat["named_costs"].values()):
             raise ModelError(f"state {state!r} has unnamed costs; elsewhere costs have names")
         if self._cost is not None and costs and not flat["named_costs"]:
-            raise ModelError(f"the costs have no names: none is called {self._cost!r}")
+            raise ModelError(f"there is no cost {self._cost!r}: the costs have no names")
         if goal:
             flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
         flat["pair_offsets"].append(len(flat["actions"]))
@@ -1060,7 +1060,7 @@ class FlatModel:
         if (self._cost is None and len(named) > 1) or self._cost not in (None, *named):
             known = ", ".join(map(repr, named))
             said = "" if self._cost is None else f", not {self._cost!r}"
-            raise ModelError("say which cost counts (", Argument("cost"), f"): {known}{said}")
+            raise ModelError("choose the cost to minimise (", Argument("cost"), f"): {known}{said}")
         for name, cost in costs.items():
             named[name].append(self._paid(cost, state, action, name))
         return named[self._cost or next(iter(named))][-1]

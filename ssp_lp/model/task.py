@@ -49,7 +49,7 @@ class _Reader:
             match = _TOKEN.match(text, end)
             if match is None:
                 start = end + len(text[end:]) - len(text[end:].lstrip())
-                raise self._error("no sign or name of a task", start)
+                raise self._error("not an operator or a name", start)
             kind, end = str(match.lastgroup), match.end()
             name, start = match[kind], match.start(kind) - (kind == "quoted")
             kind = "sign" if kind == "word" and name in _WORDS else kind
@@ -395,7 +395,7 @@ def reach(model: SSP, goal: Task, *, start: Iterable[Hashable]) -> TrackedSSP:
     automaton, ends = goal.followed(model)
     for state in begin[ends[0, begin]].tolist():
         told = f"{goal!r} is satisfied at the start {model.states[state]!r} already"
-        warnings.warn(f"{told}: the run ends there", ModelWarning, stacklevel=3)
+        warnings.warn(f"{told}, where the run ends", ModelWarning, stacklevel=3)
     made = track(model, automaton, goal, begin, lambda state, value: ends[value, state])
     if not made.goal_mask.any():
         raise ModelError(f"no run from the start satisfies {goal!r}")

@@ -42,7 +42,7 @@ class BoxedChain:
 
     @property
     def is_exact(self) -> bool:
-        """Whether no pair is taken at two nodes, where nature could choose it differently."""
+        """Whether each pair is taken at one node only, so that nature chooses its outcomes once."""
         first = self.chain.outcome[self.offsets[:-1]]
         return len(np.unique(first)) == len(first)
 

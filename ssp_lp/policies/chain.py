@@ -88,7 +88,7 @@ class Chain:
         return sp.csr_array((self.probability, (self.source, self.target)), shape=(n, n))
 
     def per_node(self, move_values: FloatArray) -> FloatArray:
-        """Return the mean over each node's moves of values of moves ([moves]), [nodes]."""
+        """Return the mean of ``move_values``, [moves], over the moves out of each node, [nodes]."""
         return np.bincount(
             self.source, weights=self.probability * move_values, minlength=self.n_nodes
         ).astype(np.float64)

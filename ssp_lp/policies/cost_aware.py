@@ -185,7 +185,7 @@ class CostAwarePolicy(Policy):
         return steps, ~(np.abs(units - steps) <= _NEAR)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
-        """Return decisions by layer, one for each level, and further layers beyond the cap.
+        """Return decisions by layer: one layer for each level, and further ones beyond the cap.
 
         The layers beyond the cap distinguish totals that lead to different tails; None if they are
         too many. A cost that occurs only in steps that end an episode counts as one layer.
@@ -260,7 +260,7 @@ class CostAwarePolicy(Policy):
 
 
 def _evenly_spaced(levels: FloatArray, costs: FloatArray, most: int) -> int:
-    """Return from how many of the first levels each step moves up by as many levels as from 0.
+    """Return the number of first levels from which each step moves up as far as from level 0.
 
     Args:
         levels: levels of a cost-aware policy, [levels].

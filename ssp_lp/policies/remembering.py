@@ -86,8 +86,8 @@ class _Carried(Policy):
 class TimedPolicy(_Carried):
     """One policy for each time step; the last one acts in all later steps (paper, section 3.4).
 
-    The memory is the number of the stage and a memory that all stages share: what it means must be
-    equal for all of them.
+    The memory consists of the number of the stage and of one memory that all stages share, which
+    must have the same meaning for all of them.
 
     Raises:
         ModelError: no stages, or stages on different models.
@@ -246,7 +246,7 @@ def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
 class RememberingPolicy(_Carried):
     """A policy on a product (state, memory) that acts on the original model's states.
 
-    It updates the product's memory itself, as the digit of its memory.
+    It updates the product's memory itself, which is the digit of its own memory.
     """
 
     inner: Policy  # on the product
@@ -299,7 +299,7 @@ class RememberingPolicy(_Carried):
 
     @property
     def ended(self) -> BoolArray:
-        """Mask of goals and dead-ends in which the inner policy acts with no memory, [states]."""
+        """Mask of goals, and of dead-ends in which the inner policy never acts, [states]."""
         over = super().ended.copy()
         over[self.product.original_state[~self.inner.ended]] = False
         return over
@@ -382,7 +382,7 @@ class LabelledPolicy(_Carried):
         return decision
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states with decisions before failing or, as the memory says, after it."""
+        """Return the states with a decision before failing, or after it if ``memory`` says so."""
         failed = memory % len(self.digits) > 0
         return np.flatnonzero(self.product.is_open if failed else ~self.ended)
 
@@ -490,7 +490,7 @@ class CompletePolicy(_Carried):
         return memory
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the inner policy's decisions, or ``otherwise`` and ``afterwards`` without one."""
+        """Return the inner policy's decisions; without one, ``otherwise`` or ``afterwards``."""
         inner, alone = self.split(memory)
         over = (alone == 1) | self.inner.ended[states]
         found = asked(self.inner, np.flatnonzero(~over & (alone == 0)), states, inner)

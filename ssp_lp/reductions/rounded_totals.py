@@ -55,9 +55,9 @@ def solve_rounded(
         found = solve(problem)
     except InfeasibleError as error:
         raise SolverError(
-            f"totals are rounded to multiples of {unit:.3g}: rounded up no policy satisfies the "
-            "limits, rounded down some policy does: round the amounts to fewer values, or ask for "
-            "less"
+            f"no policy satisfies the limits with totals rounded up to multiples of {unit:.3g}, "
+            "but one does with totals rounded down: round the amounts to fewer values, or relax "
+            "the limits"
         ) from error
     upper = found.upper_bound
     if upper is not None and looser.upper_bound is not None:
@@ -66,7 +66,7 @@ def solve_rounded(
         found, upper_bound=upper, lower_bound=min(found.lower_bound, looser.lower_bound)
     )
     told = (f"totals are rounded to multiples of {unit:.3g}, up for the policy, down for the bound:"
-            f" they differ by {found.gap:.1e}")  # fmt: skip
+            f" the gap is {found.gap:.1e}")  # fmt: skip
     is_wide = found.gap > tolerance and found.status is Status.OPTIMAL
     status = Status.TOLERANCE_MISSED if is_wide else found.status
     return replace(found, status=status, note="; ".join(filter(None, (found.note, told))))

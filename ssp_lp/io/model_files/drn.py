@@ -54,8 +54,8 @@ def read_drn(
     Args:
         path: the file; its type is MDP or DTMC, its probabilities and rewards are numbers.
         goal: the label of the goal states.
-        cost: name of a reward model, "" for Storm's without a name; None: the only one, or 1 for
-            each action if there is none.
+        cost: name of the reward model that is the cost ("" for one without a name); None: the only
+            one, or a cost of 1 for each action if the file has none.
         dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
             Any other state without actions that is not a goal is then an error.
 
