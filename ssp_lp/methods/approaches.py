@@ -55,8 +55,8 @@ class Case:
     def of_solution(solution: Solution) -> Case:
         """Return the case of proving a solution.
 
-        A solution without a value function came from a search that ran out of time, so its case
-        has no time left.
+        A solution without a value function may come from split costs, for lack of time. Its case
+        therefore has no time left.
         """
         seconds = 0.0 if solution.value_function is None else np.inf
         on_levels = levels_of(solution.policy.policies) is not None

@@ -365,7 +365,9 @@ class _Tree:
         return self.row.lower_bound(Proof(price, price, priced, np.zeros(0)))
 
     def _next_price(self, price: float, inside: Column | None, outside: Column | None) -> float:
-        """Return the price at which the node's bound may be greatest; ``price`` itself ends it.
+        """Return the next price at which the node's bound may be greatest.
+
+        If it equals ``price``, the search for the node's best price ends.
 
         Args:
             price: the price of the last step.
@@ -560,9 +562,9 @@ def _with_loose_tails(
     """Return a process whose two tails bound everything that a policy may do beyond the cap.
 
     From accumulated cost r on, success costs at least ``r * E[gamma^(T-1); goal]``, and its
-    probability lies between a least and a greatest one. One tail has the least, the other the
-    greatest, both at that least cost. So every policy beyond the cap costs at least as much as some
-    mixture of the two tails.
+    probability lies between a least and a greatest one. One tail has the least probability, the
+    other one the greatest, both at that least cost. So every policy beyond the cap costs at least
+    as much as some mixture of the two tails.
     """
     base, tails = layered.base, layered.tails
     n_layers = base.width - 1

@@ -75,7 +75,7 @@ class Aim(enum.StrEnum):
 
 @dataclass(frozen=True)
 class FailureSemantics:
-    """Where a policy may give up, what failing costs, and what the objective is.
+    """Semantics of an episode: where a policy may give up, what failing costs, and the objective.
 
     The penalty is paid for failing, in addition to the cost until then; with a discount it is paid
     for the discounted failure. An infinite penalty forbids failing: only policies that reach the
