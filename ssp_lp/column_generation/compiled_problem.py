@@ -321,9 +321,9 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
     if proved <= budget:
         kind = "discounted failure" if discounted else "failure probability"
         raise SolverError(
-            f"the feasibility of the budget {budget:g} is not decided: the least {kind} is "
-            f"proved to lie between {proved:.12g} and {failure:.12g} only, as runs are too long "
-            f"for double precision; use a budget of at least {failure:.12g}"
+            f"the budget {budget:g} may be infeasible: the least {kind} is only proved to lie "
+            f"between {proved:.12g} and {failure:.12g}, because runs are too long for double "
+            f"precision; use a budget of at least {failure:.12g}"
         )
     told = f"at least {proved:.12g}, above the budget {budget:g}"
     if f"{proved:.12g}" != f"{failure:.12g}":

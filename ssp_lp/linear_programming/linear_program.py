@@ -131,8 +131,8 @@ def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]
 
     Args:
         program: the program.
-        columns: names.
-        rows: names.
+        columns: names of the columns.
+        rows: names of the rows.
     """
     taken = np.vstack([program.cost, program.matrix.toarray()]).T
     lines = [

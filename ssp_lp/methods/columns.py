@@ -207,7 +207,7 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
         solution = best_within_budget(problem, CERTIFYING)
     sense, price, values = problem.semantics.sense, solution.failure_price, solution.value_function
     if price is None or values is None:
-        raise ModelError("the solution has no price and value function to certify")
+        raise ModelError("the solution lacks a price or a value function: solve the problem again")
     penalty = problem.semantics.penalty  # part of the cost, not of the failure row's price
     price = 0.0 if price == penalty else price - penalty
     if not (np.isfinite(price) and price >= 0.0):

@@ -179,7 +179,7 @@ class _Sums:
         """Compute all possible totals below a cap; raise ModelError if there are too many."""
         sums = sums_in(self._model, cap, MOST_SUMS)
         if sums is None:
-            raise ModelError(f"over {MOST_SUMS:,} distinct total costs below {cap:g}: round costs")
+            raise ModelError(f"over {MOST_SUMS:,} distinct totals below {cap:g}: round the costs")
         every = np.unique((sums[:, None] + self._last).ravel())
         every = every[every < cap]
         room = room_of(np.union1d(self._steps, self._last), cap)

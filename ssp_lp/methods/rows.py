@@ -548,8 +548,8 @@ def phase_one(
         raise Stop
     if first is None:
         raise SolverError(
-            "rounding ended the search before a policy within all limits was found or a conflict "
-            "of the limits was proved"
+            "rounding ended the search before it found a policy within all limits or proved that "
+            "the limits conflict: relax a limit slightly"
         )
     raise _infeasible(compiled, stated, _irreducible_conflict(pool, rows, first, options), rows)
 
@@ -862,7 +862,7 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
         stated = replace(stated, by_goal=True)
     compiled = stated.settled()
     if values is None:
-        raise ModelError("a certificate needs a value function: the solution has none")
+        raise ModelError("the solution has no value function to certify: solve the problem again")
     if not np.isfinite(evaluation.objective):
         return Proved(
             evaluation.objective, 0.0, 1.0, f"the policy's objective is {evaluation.objective}"

@@ -60,7 +60,7 @@ class ExplicitProcess:
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Dynamics of the process, without costs."""
+        """Transitions of the process by pair, and the mass of each pair that ends; no costs."""
         return Dynamics(self.pair_offsets, self.transitions, self.goal + self.failure)
 
     @cached_property

@@ -131,7 +131,10 @@ class FailureSemantics:
 
     @property
     def sense(self) -> ObjectiveSense:
-        """Relation between the minimised value and the objective, if it is no other quantity."""
+        """Relation between the minimised value and the stated objective.
+
+        It does not apply if a quantity is the objective.
+        """
         if self.aim is Aim.GREATEST_GOAL:
             return ObjectiveSense(0.0)
         return ObjectiveSense(self.failing_worth) if self.maximises else AS_ASKED

@@ -39,7 +39,7 @@ class _Total(Followed):
     rounds_down: bool = False  # amounts, if the totals are too many; otherwise up
 
     def __repr__(self) -> str:
-        """Return the call as text."""
+        """Return the call that creates the quantity, as text."""
         return f"{'exceeds' if self.passes else 'within'}({self.quantity!r}, {self.bound:g})"
 
     def automaton(self, model: SSP) -> Automaton:
@@ -175,7 +175,7 @@ class _Traces(Followed):
     task: Task
 
     def __repr__(self) -> str:
-        """Return the call as text."""
+        """Return the call that creates the quantity, as text."""
         return f"holds({self.task!r})"
 
     def automaton(self, model: SSP) -> Automaton:

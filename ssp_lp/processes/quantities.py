@@ -53,7 +53,7 @@ class _StageCosts:
     through_failure: bool = False
 
     def __repr__(self) -> str:
-        """Return the call as text, without the costs."""
+        """Return the call that creates the quantity, as text without the costs."""
         told = repr(self.cost) if isinstance(self.cost, str) else "..."
         return "expected_cost()" if self.cost is None else f"secondary_cost({told})"
 
@@ -66,7 +66,7 @@ class _Visits:
     through_failure: bool = False
 
     def __repr__(self) -> str:
-        """Return the call as text."""
+        """Return the call that creates the quantity, as text."""
         return f"visits({', '.join(map(repr, self.of))})"
 
 
@@ -78,7 +78,7 @@ class _Ends:
     others: bool = False
 
     def __repr__(self) -> str:
-        """Return the call as text."""
+        """Return the call that creates the quantity, as text."""
         ways = f"end_probability({', '.join(map(repr, self.ways))})"
         return f"1 - {ways}" if self.others else ways
 
@@ -91,7 +91,7 @@ class _ArrivalCosts:
     affine_from: float
 
     def __repr__(self) -> str:
-        """Return the call as text."""
+        """Return the call that creates the quantity, as text without the function."""
         return "arrival_cost(...)"
 
 
@@ -155,34 +155,34 @@ class Quantity:
         raise ModelError(f"{self!r} is not an array{_WITH_CVXPY}")
 
     def __add__(self, other: Quantity | float) -> Quantity:
-        """Return the sum."""
+        """Return the sum with another quantity or a number."""
         if isinstance(other, Quantity):
             return Quantity(self.terms + other.terms, self.constant + other.constant)
         return Quantity(self.terms, self.constant + _quantity_number(other))
 
     def __mul__(self, factor: float) -> Quantity:
-        """Return the multiple."""
+        """Return the quantity times a number."""
         times = _quantity_number(factor)
         terms = tuple((weight * times, counted) for weight, counted in self.terms)
         return Quantity(terms, self.constant * times)
 
     def __truediv__(self, divisor: float) -> Quantity:
-        """Return the quotient by a number."""
+        """Return the quantity divided by a number."""
         return self * (1.0 / _quantity_number(divisor))
 
     __radd__ = __add__
     __rmul__ = __mul__
 
     def __neg__(self) -> Quantity:
-        """Return the negative."""
+        """Return the quantity with the opposite sign."""
         return self * -1.0
 
     def __sub__(self, other: Quantity | float) -> Quantity:
-        """Return the difference."""
+        """Return the quantity minus another quantity or a number."""
         return self + -1.0 * (other if isinstance(other, Quantity) else _quantity_number(other))
 
     def __rsub__(self, other: float) -> Quantity:
-        """Return the difference."""
+        """Return a number minus the quantity."""
         return -self + other
 
     def __le__(self, bound: Quantity | float) -> Constraint:
@@ -218,7 +218,7 @@ class Quantity:
         return Constraint(self, lower=_quantity_number(value), upper=_quantity_number(value))
 
     def __repr__(self) -> str:
-        """Return the sum as Python code."""
+        """Return the weighted sum of the terms, as Python code."""
         parts = [f"{c!r}" if w == 1.0 else f"{w:g} * {c!r}" for w, c in self.terms]
         parts += [f"{self.constant:g}"] if self.constant or not parts else []
         return " + ".join(parts)
@@ -226,7 +226,7 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Constraint:
-    """A quantity with bounds."""
+    """A limit on a quantity: a lower bound, an upper bound, or both."""
 
     quantity: Quantity
     lower: float | None = None

@@ -111,7 +111,7 @@ class _ScaledExpression:
 
 
 class Conflict(dict[str, str]):
-    """Rows that cannot be satisfied together: name -> bound in short."""
+    """Rows that cannot be satisfied together, by name, each with its bound in short."""
 
     def __repr__(self) -> str:
         """Return a line for each row."""
@@ -268,8 +268,8 @@ class ConvexProgram:
             raise SolverError(f"cvxpy: the answer breaks {name!r} {excess}: try another solver, "
                               "or tighter tolerances by its options")  # fmt: skip
         kept = _OBJECTIVE if name == _OBJECTIVE else f"constraint {name!r}"
-        raise SolverError(f"{kept} is attained only with visits that circulate for ever and that "
-                          f"no policy makes: the policy's visits break it {excess}")  # fmt: skip
+        raise SolverError(f"{kept} needs visits that circulate for ever, which no policy makes: "
+                          f"without them it is violated {excess}")  # fmt: skip
 
     def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
         """Return the solver's answer as the measure of a policy, with the violations of rows.

@@ -142,8 +142,8 @@ class OccupationMeasure:
     def beyond(self) -> float:
         """Probability of reaching the goal from an accumulated cost above the program's cap.
 
-        The program charges such successes only the cap, which is too little. Set a greater
-        ``cost_cap`` in the problem to raise it.
+        The program charges such successes only the cap, which is too little. A greater ``cost_cap``
+        of the problem raises the cap.
         """
         augmented = self.program.augmented
         if augmented.copies == 1:

@@ -380,8 +380,8 @@ class OccupationProgram(Report):
             return columns[0]
         at = "" if cost is None else f" at cost {cost:g}"
         if not columns:
-            raise ModelError(f"action {action!r} of state {state!r}{at} has no column: the program "
-                             "needs no such visits")  # fmt: skip
+            raise ModelError(f"action {action!r} of state {state!r}{at} has no column: no policy "
+                             "of the program takes it there")  # fmt: skip
         raise ModelError(
             f"action {action!r} of state {state!r} has {len(columns):,} columns, one for each "
             "accumulated cost: give cost=..., or use columns(...)"

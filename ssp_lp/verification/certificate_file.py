@@ -572,10 +572,10 @@ def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
             paid = np.rint(paid / policy.unit) * policy.unit
         memory = policy.remember(memory, memory, states, paid)
     elif policy.memory_size != 1:
-        raise ModelError("no certificate of a policy that remembers more than the cost paid")
+        raise ModelError("no certificate file of a policy that remembers more than the total cost")
     branches = policy.branches(states, memory)
     if len(branches.situation) != acting.size:
-        raise ModelError("no certificate of a policy that draws its actions")
+        raise ModelError("no certificate file of a policy that draws its actions at random")
     taken = np.where(branches.pair < 0, UNDECIDED, branches.pair - model.pair_offsets[states])
     table = dict(zip([every[k] for k in acting.tolist()], taken.tolist(), strict=True))
 

@@ -78,7 +78,7 @@ def certify(
         if isinstance(part, ExploredSSP):
             assumption = part.whole.assumption
             if not reason and states_in_doubt(solution).size:
-                reason = "the policy rests on states that were not explored"
+                reason = "the policy depends on states that were not explored"
         is_maximised = solution.problem.semantics.sense.constant is not None
         above = is_maximised and solution.problem.objective_condition is None
         certificate = certificate_of(

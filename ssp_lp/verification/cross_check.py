@@ -399,7 +399,7 @@ def _mutual_objections(
     near = [[name for name, cost in costs.items() if agree(own, cost)] for own in costs.values()]
     majority = max(near, key=len, default=[])
     if len(majority) == 1 < len(costs):
-        findings = dict.fromkeys(costs, "no other method has its c*")
+        findings = dict.fromkeys(costs, "no other method finds its c*")
     elif len(majority) < len(costs):
         reason = f"its c* differs from that of {', '.join(sorted(majority))}"
         findings = dict.fromkeys(costs.keys() - set(majority), reason)
