@@ -64,7 +64,7 @@ class LayeredPricing(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[cap, nodes] of the layered process."""
+        """Shape of value functions and choices: [cap, nodes]."""
         return self.process.cap, self.process.base.n_nodes
 
     @cached_property
@@ -370,9 +370,10 @@ class CompiledLayered(CompiledProblem):
       optimal in every state where the goal can surely be avoided.
     - A charge that never becomes affine is truncated, and the cap is raised by refinement.
 
-    Simple tails are any policy to the goal, with 1 as the bound of its goal probability. With a cap
-    at the price of failure they cause (almost) no error. The exact tails, of greatest goal
-    probability, are computed only if the price is too large for such a cap.
+    Simple tails are any policy to the goal and one of least goal probability, with 1 as the upper
+    bound of the goal probability. With a cap at the price of failure they cause (almost) no error.
+    The exact tails, of greatest goal probability, are computed only if the price is too large for
+    such a cap.
     """
 
     facts: GoalFacts
@@ -391,9 +392,9 @@ class CompiledLayered(CompiledProblem):
 
         Args:
             model: the model.
-            start: [states].
-            discount: None: exact.
-            caps: ``cap`` or ``fixed_cap``.
+            start: distribution over states, [states].
+            discount: the discount, or None.
+            caps: the fields ``cap`` or ``fixed_cap`` of the problem.
         """
         facts = GoalFacts(model, start, discount)
         return cls(facts, LayerAndTails(facts), tails=Tails.ANY_WAY, **caps)

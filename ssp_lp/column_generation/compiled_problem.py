@@ -94,7 +94,7 @@ class GoalFacts:
 
     @cached_property
     def survival(self) -> float:
-        """The discount, 1 in the exact setting."""
+        """Factor of every transition probability: the discount, or 1 without one."""
         return survival_of(self.discount)
 
     @cached_property

@@ -74,8 +74,8 @@ _NONE = Work()
 class ExplicitPricing(PricingProblem):
     """Minimises the cost of a process at a price of failure, or at a weight of each reward.
 
-    A price is the number of ``PricingProblem`` or, with rows other than the failure row, the
-    weights of cost, failure and all rows, >= 0, [rewards].
+    The argument ``price`` is a price of failure or an array of weights: of cost, failure and all
+    further rows, >= 0, [rewards].
     """
 
     augmented: FailureLabelled | OpenEnded | LastLayer  # the process, and its map to the model
@@ -123,7 +123,7 @@ class ExplicitPricing(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[states] of the explicit process."""
+        """Shape of value functions: [states] of the explicit process."""
         return (self.process.n_states,)
 
     def incumbent(self, reached: Any) -> Column | None:

@@ -47,7 +47,7 @@ class OpenEndedPricing(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[(cap + 1) * nodes + 1], as of the explicit process."""
+        """Shape of value functions: [(cap + 1) * nodes + 1], for all layers and the source."""
         return ((self.augmented.cap + 1) * self.augmented.base.n_nodes + 1,)
 
     @cached_property
@@ -159,7 +159,7 @@ class OpenEndedPricing(PricingProblem):
         return self._beyond.minimise(weights, *known)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
-        """Prove the best dual bound of one sweep."""
+        """Prove the best dual bound at a price, by one backward sweep."""
         return self._proved(pricing_weights(price), self.anything, best)
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:

@@ -315,7 +315,7 @@ def _by_simplex(
         try:
             inverse = np.asarray(np.linalg.inv(square), dtype=np.float64)
         except np.linalg.LinAlgError as error:
-            raise SolverError("the limits differ too much in size: a basis is singular") from error
+            raise SolverError("limits differ too much in size: scale the quantities") from error
         values, x = _refined(inverse, square, right), np.zeros(cost.size)
         x[basis] = np.maximum(values, 0.0)
         dual = _refined(inverse.T, square.T, cost[basis])

@@ -135,8 +135,8 @@ def trace_frontier(
             case S) rather than at the least failure, near which the price grows without bound.
         point_limit: stop splitting after this number of turning points. Segments with the largest
             gap are split first, and the frontier's ``gap`` is the one reached.
-        time_limit: seconds after which splitting stops, also within a pricing call, as Ctrl-C does
-            at once. The points found are kept; ``open_segments`` lists where points may be missing.
+        time_limit: seconds after which splitting stops, also within a pricing call; so does Ctrl-C.
+            The points found are kept, and ``open_segments`` lists where points may be missing.
         progress: called after each pricing call with (calls, turning points so far).
         verbose: show the progress (``ssp_lp.progress_shown``).
 
@@ -404,7 +404,7 @@ class Frontier(Report):
         ]
 
     def __repr__(self) -> str:
-        """One line."""
+        """Return the number of points, the ranges and the gap in one line."""
         return f"Frontier({self._title})"
 
     @property
@@ -575,7 +575,7 @@ class _OptimumPoints:
     def proved(
         self, frontier: Frontier, number: int, weight: float, budget: float, attained: float
     ) -> float:
-        """Return a certified bound of the objective of all policies within a bound.
+        """Return a certified bound of the objective, given a bound of the traced quantity.
 
         Args:
             frontier: the frontier of these points.

@@ -113,7 +113,7 @@ class Incumbent:
         return replace(best, lower_bound=min(max(other.lower_bound, bound), best.objective))
 
     def _cheapest_policy(self, problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:
-        """Return a nearly optimal lottery of case M within all limits; None: not computed.
+        """Return a nearly optimal lottery of case M within all limits; None: nothing is limited.
 
         Args:
             problem: the problem.

@@ -102,7 +102,7 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove a lower bound of the least risk, from the model alone.
 
     Args:
-        solution: of the problem.
+        solution: the solution to certify.
         evaluation: evaluation of its policy. The bound of a quantile is at most the policy's own
             value.
     """
@@ -337,7 +337,7 @@ class _WithinRows(_Question):
         """Minimise E[charge | goal] by column generation with all rows."""
 
         def value(policy: MixedPolicy) -> float:
-            """Return E[charge | goal] of a lottery, by the law of its total cost."""
+            """Return E[charge | goal] of a lottery, by the distribution of its total cost."""
             law = success_costs(policy, self.problem)
             return _expected_charge(charge, law) / law.goal
 
@@ -628,10 +628,10 @@ class _TailMeanSearch:
         return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
 
     def _split(self, weakest: list[tuple[float, int, int]], bounds: list[float]) -> None:
-        """Treat the interval of thresholds of least bound.
+        """Raise the bound of the interval of thresholds whose bound is least, or halve it.
 
-        Its bound is raised by :meth:`refuted`. If the bound does not reach the target, the interval
-        is halved; an interval of one threshold is solved by a trial.
+        The bound is raised by :meth:`refuted`. If it does not reach the target, the interval is
+        halved; an interval of one threshold is solved by a trial.
 
         Args:
             weakest: heap of bound, first and last threshold of each interval; updated.

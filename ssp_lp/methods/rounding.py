@@ -8,22 +8,22 @@ smooth in the cost paid, else by a share of the unit.
 
 Each outcome of cost c that does not end the episode is split into two, whose costs are the
 multiples of the unit next to c, with probabilities that preserve the mean. At a price of failure
-the value as a function of the cost paid is a minimum of affine functions, hence concave, so that no
-policy of the true model is better than the best one of this model (mathematics, section 8). Its
-totals are layers of a lattice.
+the value as a function of the cost paid is a minimum of affine functions, hence concave. So no
+policy of the true model is better than the best one of the model with split costs (mathematics,
+section 8). All totals of the latter are multiples of the unit.
 
 If the exact totals are multiples of a unit, but very many, the problem is first solved with costs
 split on a coarser unit, usually one that divides most of the costs. If the few costs that are split
 hardly matter, both bounds already agree. Otherwise a search on all exact totals follows, which
 starts at the price of failure found.
 
-**Rounded costs, criteria of the law of the total cost.** With every cost rounded down to a multiple
-of a unit, a model has a lattice of totals. Since charges do not fall when the total grows, its
-optimum is a lower bound for every policy of the true model. With every cost rounded up, the best
-policy, which remembers the rounded total, is also a policy of the true model, with the same goal
-probability and at most the rounded costs. The two optima enclose the true one for every unit, and
-converge as the unit gets smaller (mathematics, section 8). Coarse units are solved in a moment;
-finer ones follow as time allows.
+**Rounded costs, criteria of the distribution of the total cost.** If every cost is rounded down to
+a multiple of a unit, all totals are multiples, too. Since charges do not fall when the total grows,
+the optimum is a lower bound for every policy of the true model. If every cost is rounded up, the
+best policy remembers the rounded total. It is also a policy of the true model, where it has the
+same goal probability and at most the rounded costs. The two optima enclose the true one for every
+unit, and converge as the unit gets smaller (mathematics, section 8). Coarse units are solved in a
+moment; finer ones follow as time allows.
 """
 
 from __future__ import annotations

@@ -269,7 +269,7 @@ class ConvexProgram:
                               "or tighter tolerances by its options")  # fmt: skip
         kept = _OBJECTIVE if name == _OBJECTIVE else f"constraint {name!r}"
         raise SolverError(f"{kept} needs visits that circulate for ever, which no policy makes: "
-                          f"without them it is violated {excess}")  # fmt: skip
+                          f"without them it is missed {excess}")  # fmt: skip
 
     def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
         """Return the solver's answer as the measure of a policy, with the violations of rows.

@@ -1,8 +1,8 @@
 """Certificate files: a problem's question and model, exactly, and a proof of its optimum.
 
 ``certificate_lines.py``, with ``expand.py`` and ``prove.py``, checks a file and prints the question
-and the result. These scripts share nothing with the library, so that this module need not be
-trusted. A float stands for its shortest decimal; a cost given as a fraction stands for itself.
+and the result. These scripts share nothing with the library, so this module need not be trusted. In
+a file, a float is its shortest decimal, and a cost that was given as a fraction is that fraction.
 """
 
 from __future__ import annotations
@@ -422,9 +422,9 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
     Args:
         solution: a solution of ``solve``.
         path: path of the file, which is compressed by gzip whatever its name.
-        tolerance: largest error, relative to max(1, objective). The file is written only if the
-            proved interval agrees with the solution's objective and bound, and the policy attains
-            the objective.
+        tolerance: largest error, relative to max(1, abs(objective)). The file is written only if
+            the proved interval agrees with the solution's objective and bound, and the policy
+            attains the objective.
 
     Returns:
         The verdict, with the proved interval.

@@ -107,7 +107,7 @@ def need(holds: bool, *words: object) -> None:
 
 @lru_cache(1 << 16)
 def number(text: Any) -> Fraction:
-    """Return the number that a text has as a decimal or a fraction, exactly."""
+    """Return the exact value of a text that has a decimal or a fraction."""
     need(isinstance(text, str) and len(text) < DIGITS, "no text of a number:", repr(text)[:99])
     need(NUMBER.fullmatch(text) is not None, "no decimal and no fraction:", repr(text)[:99])
     return Fraction(text)
