@@ -268,7 +268,10 @@ class PartitionedModel:
         """Compile a problem on this rank's part, with the first rank's bounds of rows."""
 
         def told(row: Any) -> Any:
-            """Return a row with the first rank's numbers, since sums may differ by rounding."""
+            """Return a row of the program with the first rank's numbers.
+
+            Each rank has computed them, and sums may differ by rounding.
+            """
             if row is None:
                 return None
             own = {"constant": row.constant, "bound": row.bound, "offset": row.offset}
@@ -334,7 +337,7 @@ class _Checkpoint:
         self._earlier = part.halo.ranks.agreed(lambda: found(Path(folder)) if folder else [])
 
     def begun(self, process: PartitionedProcess) -> DualGuess | None:
-        """Evaluate the last policies of an earlier run, and return their price to start from.
+        """Evaluate the last policies of an earlier run, and return its price as a first guess.
 
         Raises:
             ModelError: the policies answer another problem or model, or a file is damaged.
@@ -349,7 +352,7 @@ class _Checkpoint:
         return DualGuess(prices[1], _SURE) if prices[0] == 1.0 and prices[1] > 0.0 else None
 
     def keep(self, positions: IntArray, weights: FloatArray) -> None:
-        """Save a column's decisions as a policy, with the prices at which it was found."""
+        """Save a rank's decisions of a column, with the prices at which the column was found."""
         if self._folder is not None:
             place = self._folder / f"{len(self._earlier):05}"
             told = {"question": self._question, "prices": weights.tolist()}
@@ -401,7 +404,7 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
 
 
 def _words(problem: Formulation) -> dict[str, Any]:
-    """Return the problem's parts, by name, in words and numbers that ranks compare."""
+    """Return the parts of a problem by name, as texts and numbers that ranks can compare."""
     asked = repr((problem.semantics, problem.quantity, problem.start))
     return {
         "the criterion": type(problem).__name__,

@@ -115,7 +115,7 @@ class PartitionedPolicy(ReadOnlyCopies):
         folder, words, halo = Path(folder), part.words, part.halo
 
         def read() -> PartitionedPolicy:
-            """Read this rank's decisions, from all files that have some of them."""
+            """Read this rank's decisions from all files that have decisions of its states."""
             with opened_archive(folder / _WHOLE, _KIND) as (header, arrays):
                 if header["model"] != words:
                     raise ModelError(f"the policy is for another model, of {header['model']}")
