@@ -135,7 +135,7 @@ MOST_LEVELS = 62
 """Most layers are 2^62, for 64-bit integers."""
 
 _MOSTLY_STAYS = 0.5
-"""Exit probability up to which rows are scaled; above, 1 - exits would lose digits."""
+"""Probability of leaving up to which rows are rescaled; above it, 1 minus it loses digits."""
 
 
 class _LayerPower(NamedTuple):
@@ -426,7 +426,7 @@ class Arrivals:
         beyond = max(mass - sum(self._masses), float(np.finfo(np.float64).tiny))
         layers = self._powers.until(self._here(), beyond)
         if layers is None:
-            raise ModelError(self._too_large("the answer lies too far out"))
+            raise ModelError(self._too_large("the requested cost is too high"))
         return self.settled + layers
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
@@ -517,7 +517,7 @@ class Arrivals:
         """Count the moves followed; raise ModelError if they are too many."""
         self._work += work
         if self._work > _MOST_WORK:
-            raise ModelError(self._too_large("the answer lies too far out"))
+            raise ModelError(self._too_large("too many layers would have to be followed"))
 
     def _send(self, visits: FloatArray, active: IntArray, begin: int) -> None:
         """Send visits along moves that cost something or reach the goal, into the ring buffer.
@@ -544,9 +544,9 @@ class Arrivals:
     def _too_large(self, reason: str) -> str:
         """Return the message for a table that would be too large, with the reason."""
         return (
-            f"the law of the cost given success takes too large a table ({reason}): "
+            f"the law of the cost given success needs too large a table ({reason}): "
             f"{self._size - 1:,} nodes of the policy's chain times {self._width:,} layers of cost "
-            f"{float(self.unit):g}, with {self.settled:,} layers done. Round the costs to a "
+            f"{float(self.unit):g}, of which {self.settled:,} are computed. Round the costs to a "
             "coarser grid when building the model, or ask for a lower cost or level"
         )
 

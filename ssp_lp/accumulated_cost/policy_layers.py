@@ -46,7 +46,7 @@ ENDED = -3
 _NO_CLASSES = np.zeros(0, dtype=np.uint8)
 _NO_MARKS = np.zeros((0, 0), dtype=np.bool_)
 _UNCHARGED = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.bool_), False
-_AT_ONCE = 1_000_000  # decisions between two looks at the time
+_AT_ONCE = 1_000_000  # decisions between two checks of the time
 _LOG = logging.getLogger("ssp_lp.evaluation")
 
 
@@ -466,7 +466,7 @@ LARGE = 300_000
 _NOTHING = np.zeros(0, dtype=np.int64)
 
 _FEW_NODES = 1_000
-"""Nodes up to which a chain is built for any memory, since its law is found quickly."""
+"""Nodes up to which the chain of any policy is built, since its law is then computed quickly."""
 
 
 def chain_of_law(

@@ -58,18 +58,18 @@ from ssp_lp.model.graph import nearer_pairs
 _ONE, _NONE, _NO_LIMITS = np.ones(1), np.zeros(0), np.zeros((0, 0))
 
 _BELOW_EVERY_VALUE = 1e-6
-"""The floor is minus the price, less this relative margin for rounding."""
+"""Relative margin for rounding by which the lower bound of all values is lowered."""
 
 KEPT_VALUES = 4_000_000
-"""Most checked values that are kept, nodes x layers: 32 MB. Larger tables are replaced by infinite
-values of the same shape, which ask for the best bound: one more sweep."""
+"""Most checked values that are kept, nodes x layers: 32 MB. A larger table is replaced by infinite
+values, with which the bound is computed again by one more sweep when it is checked."""
 
 
 _MOST_CELLS = 8_000_000
 """Most nodes times layers ahead, four numbers each, of a compiled pass."""
 
 _MOST_ENTRIES = 30_000
-"""Entries of a layer without free steps from which one call for each layer costs little."""
+"""Entries of a layer without free steps from which the overhead of a call per layer is small."""
 
 _FEW_CELLS = 1_000_000
 """Most entries of all layers without free steps for one pass by numpy."""
@@ -77,7 +77,7 @@ _FEW_CELLS = 1_000_000
 _LEAST_BLOCK = 16  # layers of a block for a pass by blocks
 
 _MOST_WITHIN = 20.0
-"""Most expected steps within a layer, of any policy, for turns instead of equations."""
+"""Most expected steps of a policy within a layer for Gauss-Seidel instead of equations."""
 
 _TURNS_A_STEP = 40.0  # turns for each expected step within a layer: the error falls to e^-40
 
@@ -716,14 +716,14 @@ _ALL_ENDS = 1e-9
 """Deviation of failure + goal from 1 above which a layer is evaluated with the exact method."""
 
 _ON_ITS_WAY = 0.01
-"""Share of the arrived mass that may still be waiting, for a guess."""
+"""Waiting mass, as a share of the arrived mass, at which the sweep of a guess ends."""
 
 _LAYERS_BETWEEN = 8  # layers between two checks of it
 
 _SLACK = 4  # a room holds this many windows, so that all is moved once in three windows
 
 _DROPPED = 1e-9
-"""A guess drops nodes with less mass."""
+"""Mass of a node below which the sweep of a guess ignores it."""
 
 
 def follow_rule(

@@ -195,8 +195,8 @@ _UNKNOWN, _BEYOND = -2, -1  # codes instead of the number of a total
 _MOST_ROUNDS = 1_000
 
 _SAME = 1e-11
-"""Relative distance, to the cap, of sums that are equal up to rounding; limited by a share of the
-cheapest step."""
+"""Distance, relative to the cap, up to which two sums count as equal; it is at most ``_SHARE`` of
+the cheapest step."""
 
 _SHARE = 1e-3  # of the cheapest step
 

@@ -380,7 +380,7 @@ def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
 
 
 _ROUNDING = 64 * MACHINE_EPSILON
-"""Greatest wandering that is rounding, as 1 minus the sum of the other ends."""
+"""Probability of wandering, 1 minus that of all other ends, that counts as rounding."""
 
 _MOST_NODES = 100_000  # of a chain in which the first place of giving up is sought
 _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"}

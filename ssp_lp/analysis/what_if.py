@@ -223,7 +223,7 @@ class _Optimum:
             if measure.beyond <= _BEYOND:
                 return cls(solved, measure, cap)
             cap *= 2.0
-        raise SolverError("too many total costs for derivatives of a cost given success")
+        raise SolverError("a cost given success has too many total costs for what_if: round them")
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state to pickle: all fields and cached numbers except ``optima``."""
@@ -664,7 +664,7 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
         raise
     if 2.0 * seconds_left() < limit:
         raise Stop  # the limit has cut the solver short of a vertex
-    raise SolverError("the program was solved by interior points alone, whose prices are rough")
+    raise SolverError("what_if needs exact prices: the solver found no vertex of the program")
 
 
 def _facts(model: SSP) -> dict[str, Any]:
@@ -718,12 +718,12 @@ class WhatIf(Report):
         """Return the reason why the optimum has no derivative in a direction, or empty."""
         problem, model = self.problem, self.problem.model
         if (change.probabilities or change.start) and problem.reach_fraction is not None:
-            return "the budget changes as well, with the greatest goal probability"
+            return "the failure budget changes with the greatest goal probability"
         measure, program = self.optimum.measure, self.optimum.measure.program
         if change.probabilities and problem.failure_budget is None and program.at_least:
             acting = np.diff(program.process.pair_offsets)[program.process.pair_state] > 1
             if (measure.visits[acting] > ROUNDING).any():
-                return "two actions are equally safe: the least failure decides between them"
+                return "two actions are equally safe: after a change only the safer one is allowed"
         costs = model.costs_by_name
         rises = any(s > 0.0 == model.probabilities[k] for k, s in change.probabilities.items())
         rises |= any(s > 0.0 == costs[name][k] for (name, k), s in change.costs.items())

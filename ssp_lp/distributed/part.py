@@ -51,7 +51,7 @@ class Part(SSP):
         Raises:
             ModelError: always.
         """
-        raise ModelError("this needs the whole graph: use ssp_lp.solve on a model held whole")
+        raise ModelError("the whole graph is needed: use ssp_lp.solve on an undistributed model")
 
     @property
     def graph(self) -> Graph:

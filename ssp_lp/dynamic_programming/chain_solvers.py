@@ -31,7 +31,7 @@ HOLDS_MASS = "a policy stays in the process for ever from some states"
 Solver = Callable[[FloatArray], FloatArray]
 
 _MOST_STATES = 200_000
-"""Most states of sparse factors, which may exceed the memory beyond."""
+"""Most states of a chain for sparse factors: those of a larger chain may exceed the memory."""
 
 _BAND_WORK = 6e8
 """Number of states times the squared bandwidth: about a second of compiled reduction."""
@@ -46,7 +46,7 @@ _AT_ONCE = 10_000_000  # entries of steps between two checks of the time
 _RESTARTS = 8
 _SWEEPS_BETWEEN = 20  # sweeps after a breakdown of a Krylov run
 _LEAST_RESIDUAL = 1e-12
-"""Relative residual of a Krylov method that is accepted, since later corrections remove it."""
+"""Relative residual at which BiCGStab's result is accepted: later corrections reduce it."""
 
 _LITTLE_WORK = 1e6
 """Multiplications of a direct solution that take as long as the calls around a Krylov method."""

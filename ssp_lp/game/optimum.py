@@ -41,20 +41,20 @@ from ssp_lp.processes.goal_reach import max_goal_probability
 
 _MOST_ROUNDS = 100  # most games, and most responses in a row
 _MARGINS = (0.25, 4.0, 64.0, 1024.0)
-"""Multiples of the tolerance by which a bound of the least ratio is lowered."""
+"""Multiples of the tolerance by which a ratio is lowered until it is proved to be a bound."""
 
 _STEEP = (1e3, 1e6, 1e9)
 """Prices of failure to search for cheap policies of least failure, in multiples of the cost of
 reaching the goal under one of these policies."""
 
 _LEAST_SUCCESS = 1e-6
-"""Least success by which a cost is divided to scale a price, if success is 1 - failure."""
+"""Least probability of success, if computed as 1 - failure, by which a cost is divided."""
 
 _ROOM = 1.0 + 1e-6
 """A budget up to this multiple of the least failure counts as tight."""
 
 _CANCELLED = 4.0 * MACHINE_EPSILON
-"""Relative rounding of a difference in which a steep price cancels."""
+"""Relative rounding of a difference of payoffs in which a high price of failure cancels."""
 
 _LEAST_ACCURACY = 1e-9
 """Greatest relative error of the least failure, on which feasibility depends."""
