@@ -5,12 +5,12 @@ from layer to layer. If the unit is so small that there are too many layers, onl
 that occur are followed, in increasing order. A float cost stands for its shortest decimal, so that
 every sum is an integer number of units and equal sums are found exactly.
 
-A chain of few nodes that is rarely left may need millions of layers. Passing one layer is then a
-matrix on the waiting mass. Its powers of two pass any number of layers, in as many products as this
-number has binary digits. The probabilities of leaving (the goal is reached or lost) are stored
-beside each matrix and summed without subtraction. Each row is rescaled so that its sum and its
-probability of leaving add up to 1. Otherwise the rounding error of a row sum near 1 would grow with
-the power.
+A chain of few nodes that is rarely left may need millions of layers. A matrix then describes how
+waiting mass passes one layer, and its powers describe how it passes 2, 4, 8, ... layers. Any number
+of layers is passed in as many products as the number has binary digits. The probabilities of
+leaving (the goal is reached or lost) are stored beside each matrix and summed without subtraction.
+Each row is rescaled so that its sum and its probability of leaving add up to 1. Otherwise the
+rounding error of a row sum near 1 would grow with the power.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ MOST_LEVELS = 62
 """Most layers are 2^62, for 64-bit integers."""
 
 _MOSTLY_STAYS = 0.5
-"""Probability of leaving up to which rows are rescaled; above it, 1 minus it loses digits."""
+"""Probability of leaving up to which rows are rescaled: 1 minus a greater one loses digits."""
 
 
 class _LayerPower(NamedTuple):
@@ -410,7 +410,10 @@ class Arrivals:
         return few and self._work >= _WORK_OF_POWERS * size**3
 
     def arrived(self, layer: int) -> float:
-        """Return Pr(goal, C < layer), for a settled layer, or any layer if :attr:`leaps`."""
+        """Return Pr(goal, C < r), with the total cost r of a layer.
+
+        The layer must be settled, unless :attr:`leaps` is true.
+        """
         layers, masses = self.atoms()
         arrived = float(masses[np.asarray(layers < layer, dtype=np.bool_)].sum())
         return arrived + self._ahead(layer)[0] if layer > self.settled and self.leaps else arrived
@@ -457,7 +460,7 @@ class Arrivals:
         return np.asarray(self._waiting[rows * self._size + self._powers.node])
 
     def _ahead(self, layer: int) -> tuple[float, FloatArray]:
-        """Return what arrives before a later layer, and the mass waiting there, [places]."""
+        """Return the mass arriving before a later layer, and the mass waiting there, [places]."""
         return self._powers.after(self._here(), layer - self.settled)
 
     def _to_next(self) -> int | None:
@@ -676,7 +679,7 @@ class FollowedSums(Arrivals):
         return goal, cost
 
     def _settle_sum(self, layer: int) -> None:
-        """Settle the least waiting sum."""
+        """Settle the least waiting sum, ``layer`` units."""
         parts = self._pending.pop(layer)
         nodes = np.concatenate([part[0] for part in parts])
         masses = np.concatenate([part[1] for part in parts])

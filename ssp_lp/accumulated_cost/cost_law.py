@@ -335,7 +335,7 @@ class CostLaw:
 
     @cached_property
     def _coarse_unit(self) -> Fraction:
-        """Unit of rounded costs, with few layers."""
+        """Unit to which costs are rounded up if their exact sums are too many."""
         most = max(min(_MOST_UNITS, _MOST_ROUNDED // len(self._live.start)), 1)
         least_unit = float(self._live.paid.max(initial=0.0)) / most
         return Fraction(max(self.conditional_mean / _FINE, least_unit))

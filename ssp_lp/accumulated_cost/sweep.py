@@ -146,7 +146,7 @@ class Sweep:
 
     @classmethod
     def of_ends(cls, process: ChargedLayers) -> Sweep:
-        """Return the sweeps that count failure and the goal."""
+        """Return the sweeps whose counted rewards are failure and the goal."""
         base = process.base
         return cls(process, np.stack([base.failure, base.survival * base.gain], axis=1))
 
@@ -436,7 +436,7 @@ class Sweep:
 
         Args:
             priced: costs to minimise.
-            sizes: whether the sizes are needed; otherwise they may be too small.
+            sizes: whether the sizes are needed; if not, they may be wrong.
         """
         process, (owed, saved), weight = self.process, priced[:2], priced.charged
         alone = np.maximum(owed, saved)
@@ -621,7 +621,7 @@ def _sweep_plainly(
     begins, lengths, is_even = offsets[:-1], np.diff(offsets), len(layers.leads) == 1
 
     def columns(leads: IntArray) -> IntArray:
-        """Return the position of the value that each step leads to, [entries]."""
+        """Return the index, among the values ahead, to which each step leads, [entries]."""
         return (leads * n)[layers.classes].astype(np.int32) + nodes.view(np.int32)
 
     indptr, shape = layers.indptr.view(np.int32), (number.size, width)

@@ -56,7 +56,7 @@ def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COS
 
 
 def last_layer(bound: float | Fraction, unit: Fraction) -> int:
-    """Return the last layer of a lattice within a finite bound; negative: there is none.
+    """Return the number of units in a finite bound, rounded down; negative for a negative bound.
 
     A float stands for its shortest decimal (three steps of 0.1 are within 0.3), or for the multiple
     of the unit to which it is nearest (2/3 for the unit 1/3).
@@ -70,17 +70,17 @@ def last_layer(bound: float | Fraction, unit: Fraction) -> int:
 
 
 def layers_within(total: float | Fraction, unit: Fraction) -> int:
-    """Return the number of layers of a lattice up to a total."""
+    """Return the number of layers, multiples of a unit, up to a total."""
     return max(last_layer(total, unit) + 1, 0)
 
 
 def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
-    """Return the totals of layers of a lattice, rounded once, in the shape of ``layers``."""
+    """Return totals given as numbers of units, each rounded once, in the shape of ``layers``."""
     return np.asarray(layers * float(unit.numerator) / float(unit.denominator))
 
 
 def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
-    """Return the unit of a lattice of totals: the greatest common divisor of the costs.
+    """Return the common unit of costs: their greatest common divisor.
 
     A float stands for a decimal (``exact_cost``), unless ``exact`` gives its fraction.
 
@@ -214,7 +214,7 @@ def last_steps(model: SSP) -> tuple[StepClasses, FloatArray]:
 
 
 def _numbered_costs(model: SSP, counted: BoolArray) -> tuple[StepClasses, FloatArray]:
-    """Return the classes and distinct costs of the steps into states; class 0 is cost 0."""
+    """Return the classes and distinct costs of the steps into counted states; class 0: cost 0."""
     costs = _costs_into(model, counted)
     steps = np.union1d(0.0, costs)
     number = np.searchsorted(steps, costs)
@@ -396,7 +396,7 @@ class Totals:
 
     @property
     def _room(self) -> float:
-        """Difference up to which two sums are the same total."""
+        """Difference up to which two sums count as one total."""
         return room_of(self.steps, float(self.values[-1]))
 
     @cached_property

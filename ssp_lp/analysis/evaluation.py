@@ -245,7 +245,7 @@ def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) ->
 
 
 class _Measures(NamedTuple):
-    """Measures of a policy that are linear in the start lottery."""
+    """Measures of a policy; those of a lottery are the means over its members."""
 
     totals: FloatArray  # [discounts, 4] goal, failure, cost of success, cost until failure
     ends: FloatArray  # [ways] in the order of ``end_marks``, then wandering
@@ -392,7 +392,7 @@ def cost_in_words(cost: float) -> str:
 
 
 def failing_in_words(ends: Mapping[str, float]) -> str:
-    """Return the probabilities of the ways to fail in a line: "crash 0.03, gave up 0.02"."""
+    """Return a line with the probability of each way to fail: "crash 0.03, gave up 0.02"."""
     least = {"goal": np.inf, "wandering": _ROUNDING}
     ways = ((name, share) for name, share in ends.items() if share > least.get(name, 0.0))
     return ", ".join(f"{_WORDS.get(name, name)} {share:.6g}" for name, share in ways)
@@ -829,5 +829,5 @@ def _value_until_failure(
 
 
 def complement(probability: float) -> float:
-    """Return 1 minus a probability, within [0, 1]."""
+    """Return 1 minus a probability, clipped to [0, 1]."""
     return min(max(1.0 - probability, 0.0), 1.0)

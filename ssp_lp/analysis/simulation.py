@@ -106,8 +106,8 @@ def greatest_total(
 ) -> tuple[float, bool]:
     """Return the greatest total cost of a simulated episode with at most ``steps`` steps.
 
-    Steps within a strong component may be repeated, others occur once: the total is that of the
-    most expensive path through the components.
+    Steps within a strong component may be repeated, all other steps occur once. The total is that
+    of the most expensive path through the components.
 
     Args:
         model: the model.
@@ -196,7 +196,7 @@ class ModelSimulator:
         return self._stated[0][state], state
 
     def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
-        """Simulate one outcome of each pair by inversion."""
+        """Draw one outcome of each pair by inversion of its distribution."""
         (seen, costs), offsets = self._stated, self.model.outcome_offsets
         outcome = drawn_in_segments(self._sums, offsets[pair], offsets[pair + 1], rng)
         successor = self.model.successors[outcome].astype(np.int64)

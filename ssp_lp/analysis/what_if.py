@@ -82,7 +82,7 @@ def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, fl
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A direction in which numbers of a problem move: the change of each per unit of the step."""
+    """A direction in which numbers of a problem move: how much each changes per unit of a step."""
 
     probabilities: Mapping[int, float] = field(
         default_factory=dict
@@ -300,7 +300,7 @@ class _Optimum:
     def ends(self) -> tuple[FloatArray, float]:
         """Worth of entering each state and of ending by the discount.
 
-        The worth of entering is without the value of the state, [states].
+        The worth of entering, [states], does not include the value of the state.
         """
         quotient = self.measure.program.augmented.quotient
         model, goal, dead = self.problem.model, self.problem.model.goal_mask, quotient.dead
@@ -412,7 +412,7 @@ class _Optimum:
         return {name: name in paid or name == own for name in by_name}
 
     def _name_of(self, costs: SSP) -> str | None:
-        """Return the problem's name of a model's own cost, or None."""
+        """Return the name that the problem gives to a model's own cost, or None."""
         by_name = self.problem.model.costs_by_name.items()
         return next((name for name, each in by_name if each is costs.costs), None)
 
@@ -960,7 +960,7 @@ def _in_proportion(shares: FloatArray, places: list[int], place: int) -> dict[in
 def _numbers_of_pair(model: SSP, pair: int, optimum: _Optimum) -> Iterator[Number]:
     """Yield the probabilities of a pair's outcomes, and their costs that count.
 
-    Costs are one number if all outcomes cost the same.
+    If all outcomes have equal costs, these are one number.
     """
     outcomes = [*range(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))]
     state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)

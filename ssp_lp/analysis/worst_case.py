@@ -28,7 +28,7 @@ from ssp_lp.processes.live_rows import costless_pairs
 
 @dataclass(frozen=True, repr=False)
 class WorstCase(Facts):
-    """Worst measures of a policy over boxes, each at its own probabilities.
+    """Worst measures of a policy over boxes, each at the probabilities that are worst for it.
 
     The measures need not occur together: probabilities that maximise the cost need not maximise the
     failure. If ``is_exact``, each is attained (or approached) by one choice of probabilities;

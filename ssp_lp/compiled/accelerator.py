@@ -171,7 +171,7 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
 
 
 class _Frames(threading.local):
-    """Number of running functions with a twin, by thread."""
+    """Number, by thread, of running functions that ``with_twin`` wraps."""
 
     depth = 0
 

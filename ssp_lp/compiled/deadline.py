@@ -158,7 +158,7 @@ def until(
 
 @contextmanager
 def limited(time_limit: float | None, doing: str) -> Iterator[None]:
-    """Set a time limit for a context; None: the deadline of the surrounding call.
+    """Set a time limit for a context; None: keep the deadline of the surrounding call.
 
     Args:
         time_limit: seconds.

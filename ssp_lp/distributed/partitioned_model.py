@@ -284,7 +284,7 @@ class PartitionedModel:
     def _solved(
         self, problem: Formulation, options: SolveOptions, checkpoint: str | Path | None
     ) -> PartitionedSolution:
-        """Find the optimum of a checked problem, as every rank does.
+        """Find the optimum of a checked problem; all ranks must call this.
 
         Raises:
             InfeasibleError: no policy satisfies the budget and the limits.
@@ -375,7 +375,7 @@ def _figures(
 
 
 def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any]) -> Formulation:
-    """Return the problem on a part of the model, checked to be solvable by ranks.
+    """Return the problem on a part of the model, after checking that ranks can solve it.
 
     Raises:
         ModelError: ranks do not support the problem; the message says what to do.

@@ -1,9 +1,11 @@
 """The process of case M on rows that are distributed over ranks, and its pricing problem.
 
-Each rank has the pairs of its own nodes. Each rank improves policies by sweeps over its own nodes,
-in place, and the ranks exchange the ghosts' values in between; PETSc's Krylov methods solve the
-equations of a policy. Columns are evaluated with a bound of their error, and one backup of all
-rows, with rounding counted against it, checks a lower bound, as in a single process.
+Each rank has the pairs of its own nodes, and knows the values of ghosts: nodes of other ranks to
+which these pairs lead. It improves policies in place by sweeps over its own nodes. Between sweeps
+the ranks exchange the ghosts' values. PETSc's Krylov methods solve the equations of a policy.
+
+As on a single process, columns are evaluated with a bound of their error, and a lower bound is
+checked by one backup of all rows, rounded down.
 """
 
 from __future__ import annotations
@@ -259,7 +261,7 @@ class PartitionedProcess(PricingProblem):
         return self.measured(self._leaving)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """Find a column of least priced cost by policy iteration, evaluated to a bounded error."""
+        """Find a column of least priced cost by policy iteration, with totals of bounded error."""
         weights, known = self._weights(price), (*warm, *self.earlier)
         evaluated = [one for one in known if one and one.totals is not None] or [self.first()]
         best = min(evaluated, key=lambda column: float(weights @ column.figures))

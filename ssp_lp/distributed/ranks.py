@@ -1,7 +1,7 @@
 """The ranks of a communicator, and the exchange of values of states between ranks.
 
 Every rank runs the same program on its own rows. Joint decisions depend only on numbers that are
-equal on all ranks: reductions, and values computed from them.
+equal on all ranks: sums or maxima over all ranks, and values computed from them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _Made = TypeVar("_Made")
 
 
 class Ranks:
-    """The ranks of MPI's world, each of which runs the same program, and PETSc on them."""
+    """The ranks (processes) of MPI's world, which run the same program, with PETSc on them."""
 
     def __init__(self) -> None:
         """Start PETSc, if it is not running, with the options of the command line.
@@ -130,7 +130,7 @@ class Halo:
     """
 
     def __init__(self, ranks: Ranks, n_own: int, ghosts: IntArray) -> None:
-        """Create the ghosted vector.
+        """Create PETSc's vector over own states and ghosts; all ranks must call this.
 
         Args:
             ranks: all ranks.
@@ -179,7 +179,7 @@ class Halo:
         return self.settled(lambda mask: reaching_states(graph, mask), self.filled(ends))
 
     def staying(self, graph: Graph, usable: BoolArray, outside: BoolArray) -> BoolArray:
-        """Return the greatest set of states such that each has no pairs, or one that stays in it.
+        """Return the greatest set in which each state has no pairs or a pair that stays inside.
 
         Args:
             graph: the known states, and the pairs of the own states.

@@ -262,7 +262,7 @@ class Iteration:
         return change, float(np.abs(ahead).max(initial=0.0))
 
     def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """Sweep in place while the changes contract well; return whether the target is met.
+        """Sweep in place while the changes shrink fast; return whether the target is met.
 
         Args:
             right: [members, rewards].

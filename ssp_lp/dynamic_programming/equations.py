@@ -276,7 +276,7 @@ class System:
 
     @cached_property
     def _kept(self) -> dict[tuple[int, int], Solver]:
-        """Solvers that are kept, by range of components."""
+        """Cache of solvers, by range of components."""
         return {}
 
     def _solve_compiled(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:

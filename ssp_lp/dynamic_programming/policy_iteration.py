@@ -254,7 +254,7 @@ class _Evaluation:
         return leaving_chain(self.dynamics, choice, before)
 
     def evaluate(self, system: System, choice: IntArray) -> int:
-        """Evaluate a policy, and return the number of products that it took.
+        """Evaluate a policy, and return the number of passes over its chain.
 
         Raises:
             SolverError: the policy is worse than the last one.

@@ -273,7 +273,7 @@ def cheapest_crossing(
     right: Sequence[BestResponse],
     position: Callable[[BestResponse], float],
 ) -> tuple[BestResponse, BestResponse, float, float]:
-    """Find the cheapest lottery over a policy on each side of position 0.
+    """Find the cheapest lottery over two policies, one on each side of position 0.
 
     Args:
         left: policies at positions up to 0, to rounding.

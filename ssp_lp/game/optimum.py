@@ -454,9 +454,9 @@ def stationary_game(
 
     Args:
         problem: with a discount and a failure budget above 0.
-        tail: in case S the M of section 3.5.1 (see :func:`stationary_player`): the result is then
-            c-hat_M, the least within Pi_{M,pi'_or}, which falls to the c-hat of ``tail=None`` as M
-            grows.
+        tail: in case S the M of section 3.5.1 (see :func:`stationary_player`). The result is then
+            c-hat_M, the least c of policies in Pi_{M,pi'_or}. As M grows, it falls to the c-hat of
+            ``tail=None``.
         tolerance: relative distance between c-hat and its lower bound to reach.
         progress: called after each game with (responses, price of failure, upper end).
 
