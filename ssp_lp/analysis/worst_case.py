@@ -28,7 +28,7 @@ from ssp_lp.processes.live_rows import costless_pairs
 
 @dataclass(frozen=True, repr=False)
 class WorstCase(Facts):
-    """Worst measures of a policy over boxes, each at its own probabilities.
+    """Worst measures of a policy over boxes, each at the probabilities that are worst for it.
 
     The measures need not occur together: probabilities that maximise the cost need not maximise the
     failure. If ``is_exact``, each is attained (or approached) by one choice of probabilities;
@@ -74,8 +74,7 @@ class WorstCase(Facts):
 def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> WorstCase:
     """Evaluate a policy at its worst probabilities in boxes.
 
-    All outcomes that the boxes allow decide whether the goal can still be reached, and so whether
-    failing is declared.
+    Failing is declared as soon as the goal cannot be reached by any outcomes that the boxes allow.
 
     Args:
         policy: on the problem's model, or on one with other probabilities of the same outcomes.
@@ -135,7 +134,13 @@ def _measures(boxed: BoxedChain, problem: Problem, boxes: Boxes) -> list[float]:
 
 
 def _reach(boxed: BoxedChain, ends: FloatArray, at_stop: float = 0.0) -> float:
-    """Return the greatest probability of reaching some nodes from the start, or giving up."""
+    """Return the greatest probability of reaching some nodes from the start.
+
+    Args:
+        boxed: the policy's chain, with intervals of its probabilities.
+        ends: 1 at these nodes, 0 elsewhere, [nodes].
+        at_stop: 1 if giving up counts as well, otherwise 0.
+    """
     nothing, inside = np.zeros(len(boxed.low)), (ends == 0.0) & (boxed.chain.goal == 0.0)
     values = boxed.greatest(nothing, ends, inside, at_stop=at_stop)
     return float(boxed.chain.start @ values)
