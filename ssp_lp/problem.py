@@ -145,7 +145,7 @@ class Problem(ReadOnlyCopies):
 
     @property
     def has_rows(self) -> bool:
-        """Whether constraints or the objective need a method for rows."""
+        """Whether the problem has constraints, or a quantity instead of the cost as objective."""
         return bool(self.conditions) or self.objective_condition is not None
 
     @property
@@ -168,7 +168,7 @@ class Problem(ReadOnlyCopies):
 
     @property
     def several_rows(self) -> bool:
-        """Whether a problem needs an explicit process and a program with rows."""
+        """Whether :attr:`has_rows` holds, or the total costs are levels of a grid."""
         return self.has_rows or self.totals is TotalScale.GRID
 
     @property
@@ -269,7 +269,8 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayere
 
     Args:
         problem: the problem.
-        may_sum: allow the totals to be the sums that can occur, if this suits the problem.
+        may_sum: whether the totals may be the sums of costs that can occur (``problem.totals``);
+            False: multiples of the costs' unit.
     """
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
     by_sums = may_sum and problem.totals is TotalScale.SUMS
@@ -281,7 +282,7 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayere
 
 @dataclass(frozen=True, eq=False)
 class Restated(Problem):
-    """A problem on the same model with the same limits, but with other costs or semantics."""
+    """A problem that a method solves in place of another one, with other costs or semantics."""
 
     model: SSP
     start: Start
@@ -378,7 +379,7 @@ def check_explorable(problem: Problem) -> None:
             raise ModelError(f"start: {state!r} is not a state in which {whole!r} may begin")
     name, more = type(problem).__name__, ": build the whole model, SSP.from_successors(...)"
     if problem.ratio or problem.semantics.counts_law:
-        raise ModelError(f"an implicit model has no total cost of a run for {name}{more}")
+        raise ModelError(f"{name} needs a run's total cost, which implicit models lack{more}")
     if problem.horizon is not None:
         hint = ", or count the steps in its states"
         raise ModelError(Argument("horizon"), f" does not support an implicit model{more}{hint}")
@@ -445,7 +446,7 @@ def check_measures(problem: Problem) -> None:
 
 
 def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
-    """Return a problem's limits and its objective; entries that are not limits are left out."""
+    """Return a problem's constraints by name, and its quantity, if any, as "objective"."""
     limits = problem.all_constraints.items()
     asked = [(str(name), limit) for name, limit in limits if isinstance(limit, Constraint)]
     if isinstance(problem.quantity, Quantity):
@@ -522,12 +523,12 @@ class _InProduct(Policy):
 
     @property
     def goes_on(self) -> bool:  # type: ignore[override]
-        """Whether the inner policy goes on after failing, if the product has no failure label."""
+        """Whether the inner policy goes on after failing, and the product lacks a failure label."""
         return self.inner.goes_on and self.model.failure_label is None
 
     @property
     def declares_failing(self) -> bool:
-        """Whether the policy restated on a problem's product declares failing."""
+        """Whether the inner policy declares failing and then goes on."""
         return self.inner.goes_on
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
@@ -561,11 +562,11 @@ class _UntilFailing(Policy):
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """Model of a problem's policy that ends with failing."""
+        """Model that the policy acts on."""
         return self.carrier.model
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decisions of a problem's policy that ends with failing."""
+        """Return the policy's decisions, with giving up in place of going on after failing."""
         branches = self.carrier.branches(states, memory)
         pair = np.where(branches.gives_up(memory), GIVE_UP_CODE, branches.pair)
         return Branches(branches.situation, pair, branches.probability)

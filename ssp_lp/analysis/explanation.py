@@ -96,9 +96,9 @@ def explanation(
                 "out of reach from the start"
             )
         some = [f"{label.state!r}{label.paid}" for label in labels.values()]
-        there = " and ".join(dict.fromkeys(some[:3]))
+        there = " or ".join(dict.fromkeys(some[:3]))
         raise ModelError(
-            f"the solution has no single decision in {state!r} at cost {total}; there is {there}"
+            f"the solution has no single decision in {state!r} at cost {total}: choose {there}"
         )
     names, weights, rewards = zip(*_counted_quantities(program, prices, ratio), strict=True)
     amounts = _following(values, np.stack(rewards))[:, columns]

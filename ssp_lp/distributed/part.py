@@ -50,7 +50,7 @@ class Part(SSP):
         Raises:
             ModelError: always.
         """
-        raise ModelError("this needs the whole graph: use ssp_lp.solve on a model held whole")
+        raise ModelError("predecessors need the whole graph: use ssp_lp.solve on the whole model")
 
     @property
     def graph(self) -> Graph:

@@ -39,7 +39,7 @@ from ssp_lp.solution import Run
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
 _AGAIN = 3  # number of policies of an earlier run that are evaluated first
 _FINER = 1e-3  # factor of the tolerance if a complement is minimised, which may be much larger
-_WHOLE = "solve it with ssp_lp.solve on a model held whole"
+_WHOLE = "solve it with ssp_lp.solve on the whole model"
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,8 +382,8 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
                              criterion)  # fmt: skip
     name = criterion.__name__
     if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
-        raise ModelError("ranks support no horizon and no reach_fraction: state the budget, and "
-                         "make the steps a part of the states")  # fmt: skip
+        raise ModelError("ranks support neither horizon nor reach_fraction: count the steps in "
+                         "the states, and state failure_budget")  # fmt: skip
     problem: Formulation = criterion(part, **asked)
     if problem.semantics.charge(problem.ratio) is not None:
         raise ModelError(f"{name} counts the total cost of a run: {_WHOLE}, or use MCMP on ranks")

@@ -248,5 +248,5 @@ def check_label(model: SSP) -> FailureSSP:
         ModelError: it is not.
     """
     if model.failure_label is None:
-        raise ModelError("the policy does not go on after failing: its problem counts nothing then")
+        raise ModelError("the policy ends when it fails, as its problem counts nothing afterwards")
     return model.failure_label

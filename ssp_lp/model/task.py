@@ -49,7 +49,7 @@ class _Reader:
             match = _TOKEN.match(text, end)
             if match is None:
                 start = end + len(text[end:]) - len(text[end:].lstrip())
-                raise self._error("no sign or name of a task", start)
+                raise self._error("not a name or an operator", start)
             kind, end = str(match.lastgroup), match.end()
             name, start = match[kind], match.start(kind) - (kind == "quoted")
             kind = "sign" if kind == "word" and name in _WORDS else kind

@@ -258,7 +258,7 @@ def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = N
     as_solved(solution, "plot_bounds")
     if solution.problem.semantics.counts_law:
         name = type(solution.problem).__name__
-        raise ModelError(f"{name} is solved by a search over problems: only its end has bounds")
+        raise ModelError(f"{name} is solved by a search, in which only the last step has bounds")
     ax = axes_or_new(ax)
     upper = np.minimum.accumulate([*record.objectives, solution.objective])
     lower = np.maximum.accumulate([*_proved_bounds(record, solution.problem), solution.lower_bound])
@@ -315,7 +315,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
         ModelError: the goal is never reached, a level out of range, or costs without a common unit.
     """
     if law.goal == 0.0:
-        raise ModelError("the policy never reaches the goal: there is no law of costs to draw")
+        raise ModelError("no costs to draw: the policy never reaches the goal")
     ax = axes_or_new(ax)
     quantile, tail = law.quantile(level), law.tail_mean(level)
     costs, shares, width = _bars_of_law(law)

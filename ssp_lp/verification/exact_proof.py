@@ -142,7 +142,7 @@ class Nodes:
         program, x = self.program, self.state_of(node)
         stops = (x in program.giving_up) + (x in program.waiting)
         if not stops or (must_wait and x not in program.waiting):
-            raise SolverError("the answer is not proved: a policy stops where it may not")
+            raise SolverError("the answer is not proved: a policy gives up where it may not")
         return len(self.actions[x]) + stops - 1
 
     def state_of(self, node: int) -> int:
@@ -330,7 +330,7 @@ def near_choice(ways: Sequence[_Way], dynamics: Dynamics) -> list[int]:
     costs, leaves = np.array([way.own / way.total / ONE for way in ways]), dynamics.exits > 0.0
     choice = nearer_pairs(dynamics.graph, leaves)
     if choice.min() < 0:
-        raise SolverError("some states cannot be left")
+        raise SolverError("no policy leaves some states")
     # to a cheap exit where there is one: giving up everywhere would be undone state by state
     cheap = nearer_pairs(dynamics.graph, leaves & (costs <= costs[leaves].mean()))
     choice = np.where(cheap < 0, choice, cheap)

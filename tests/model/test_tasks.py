@@ -171,11 +171,11 @@ def test_the_automaton_prints_and_draws():
     [
         ("F key &", "a name, a bracket, or one of", 7),
         ("F (key", "expected a closing bracket", 6),
-        ("key @ door", "no sign or name", 4),
+        ("key @ door", "not a name or an operator", 4),
         ("F key) & door", "an operator", 5),
         ("", "a name, a bracket, or one of", 0),
         ("key & U door", "a name, a bracket, or one of", 6),
-        ('F "key', "no sign or name", 2),
+        ('F "key', "not a name or an operator", 2),
     ],
 )
 def test_a_caret_shows_where_the_text_is_no_formula(text, told, column):

@@ -278,9 +278,9 @@ class UmbArchive:
             return np.arange(n_targets + 1)
         offsets = self._array(name, "<i8", self._size(name, 8))
         if offsets.size < 1 or offsets[0] != 0 or offsets[-1] != n_targets:
-            raise self._fault(f"{name} does not lead from 0 to {n_targets}")
+            raise self._fault(f"{name} must run from 0 to {n_targets}")
         if (np.diff(offsets) < 0).any():
-            raise self._fault(f"{name} does not rise")
+            raise self._fault(f"{name} must not decrease")
         return np.asarray(offsets, dtype=np.int64)
 
     def _size(self, name: str, width: int) -> int:
