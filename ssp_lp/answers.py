@@ -495,7 +495,7 @@ class _Crew:
 
     @property
     def _error(self) -> SolverError:
-        """Answer for the remaining problems if the crew cannot be repaired."""
+        """Error that answers the remaining problems if no worker can be started any more."""
         if not self._is_own:
             return SolverError("the executor broke or was shut down: pass a new one, or none")
         return SolverError(

@@ -4,8 +4,8 @@ Each plan of the lottery counts with its own worst cost and its own worst failur
 the lottery satisfies the budget whatever the probabilities are. The bound is the optimum of the
 problem at one choice of probabilities, the worst one for the best plan at some price of failure
 (Lagrange). The worst case of every lottery is at least this optimum. A gap between value and bound
-may remain, because the true worst case of a lottery has one choice of probabilities, not one for
-each plan and each measure.
+may remain, because the true worst case of a lottery has one choice of probabilities for all plans,
+not another one for each plan's cost and each plan's failure.
 """
 
 from __future__ import annotations
@@ -194,10 +194,10 @@ class _Pool:
                     self.add(decision)
 
     def _beside(self, plan: Policy, price: float) -> Iterator[IntArray]:
-        """Yield plans that differ from one: in all states in which this seems better, or in one.
+        """Yield a plan with all actions that seem better than a plan's own, then plans with one.
 
-        An action is compared at the worst cost and the worst failure of the plan after it, each at
-        its own nature and the latter at the price of failure; the best changes come first.
+        An action is worth its worst cost plus the price times its worst failure, if the given plan
+        follows it; both worst cases have their own probabilities. The best actions come first.
         """
         box, model, start = self.box, self.box.support, self.problem.start_mass
         reached = np.zeros(model.n_states, dtype=np.bool_)
