@@ -343,7 +343,7 @@ class _Checkpoint:
         for one in self._earlier[-_AGAIN:]:
             policy = PartitionedPolicy.load(self._part, one)
             if policy.told["question"] != self._question:
-                raise ModelError(f"the checkpoint {self._folder} is of {policy.told['question']}")
+                raise ModelError(f"{self._folder} has another question: {policy.told['question']}")
             process.earlier.append(process.evaluated(policy.positions[0]))
             prices = policy.told["prices"]
         return DualGuess(prices[1], _SURE) if prices[0] == 1.0 and prices[1] > 0.0 else None

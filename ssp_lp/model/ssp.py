@@ -772,7 +772,7 @@ class SSP(Graph, ReadOnlyCopies):
             return self.action_names[int(self.pair_action[pair])]
         except (IndexError, TypeError) as error:
             last = len(self.pair_action) - 1
-            raise ModelError(f"{pair!r} is not a pair: they are 0 .. {last}") from error
+            raise ModelError(f"{pair!r} is not a pair: pairs are 0 .. {last}") from error
 
     def pairs_of(self, state: int) -> range:
         """Return the pairs of a state."""

@@ -272,7 +272,7 @@ class Task:
         for bit, name in enumerate(self.names):
             is_action = np.array([str(word) == name for word in model.action_names], dtype=np.bool_)
             if name in model.state_labels and is_action.any():
-                raise ModelError(f"{self!r}: {name!r} is both a label of states and an action")
+                raise ModelError(f"{self!r}: {name!r} is a state label and an action: rename one")
             if name in model.state_labels:
                 states[model.state_labels[name]] |= 1 << bit
             elif is_action.any():

@@ -187,7 +187,7 @@ def test_names_are_labels_or_actions():
     refused("neither a label of states nor an action; did you mean 'key'", _automaton, "F kay")
     refused("it is a state: give it a label", _automaton, "F attic")
     both = SSP.from_transitions({"a": {"go": [(1.0, "b", 1.0)]}}, {"b"}, state_labels={"go": ["a"]})
-    refused("'go' is both a label of states and an action", task("F go").automaton, both)
+    refused("'go' is a state label and an action: rename one", task("F go").automaton, both)
     refused("holds takes a task", holds, "F key")
 
 
