@@ -278,7 +278,7 @@ def check_call(name: str, form: Signature, given: Sequence[object], named: Colle
 
 
 _REST = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-"""Kinds of parameters that take the remaining arguments, and need none."""
+"""Kinds of parameters for any number of arguments, also none: ``*args`` and ``**kwargs``."""
 
 
 def in_short(value: Any) -> str:

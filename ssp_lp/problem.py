@@ -61,15 +61,15 @@ Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
 EXACT = FailureSemantics()
-"""Default worth of an episode: its cost until the goal, failing free."""
+"""Default worth of an episode: its cost until the goal or failing; failing costs nothing."""
 
 
 class Problem(ReadOnlyCopies):
     """A criterion on a model with a start and a failure budget.
 
-    The class attributes are the defaults: no discount, all runs count, no limits except the failure
-    budget. If failing has a price instead of a limit, ``failure_budget`` is 1 and ``semantics`` has
-    the penalty. ``semantics.aim`` says whether the cost or only the goal counts.
+    The class attributes are the defaults: no discount, all runs count (not successes alone), no
+    limits except the failure budget. If failing has a price instead of a limit, ``failure_budget``
+    is 1 and ``semantics`` has the penalty. ``semantics.aim`` says whether the cost or only the goal counts.
     """
 
     model: SSP
@@ -130,7 +130,7 @@ class Problem(ReadOnlyCopies):
         return {**own, **stated}
 
     def with_arguments(self, **changes: Any) -> Self:
-        """Return a copy with other arguments; a budget given by a share stays a share."""
+        """Return a copy with other arguments; ``reach_fraction`` is kept as it was given."""
         return cast("Self", replace(cast("Any", self), **changes, **as_stated(self)))
 
     @property
@@ -315,7 +315,7 @@ class FailureBudget:
         vars(problem)["_stated_budget"] = None if is_followed else as_float(value)
 
     def __get__(self, problem: Any, owner: type[object]) -> float | None:
-        """Return the budget; of the class, the default None (least failure)."""
+        """Return the budget; on the class itself None, the default (least failure)."""
         if problem is None:
             return None
         fields, key, share = vars(problem), "_stated_budget", problem.reach_fraction

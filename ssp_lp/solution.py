@@ -274,12 +274,12 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def secondary_costs(self) -> Mapping[str, float]:
-        """The solution's constrained quantities by name, discounted if the problem is."""
+        """Values of the limited quantities by name, discounted if the problem is."""
         return self.evaluation.secondary_costs
 
     @property
     def discounted_failure(self) -> float | None:
-        """The solution's surrogate of failure, section 2.5 of the paper; None if exact."""
+        """The paper's discounted failure (section 2.5); None if the problem has no discount."""
         return self.evaluation.discounted_failure
 
     @property

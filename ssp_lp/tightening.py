@@ -89,8 +89,8 @@ def tighten(
     Column generation. At a price of failure, the plan with the best worst case is computed, then
     the optimal lottery at these worst probabilities. Both give plans, and the lottery gives a
     bound. The next price is the price of this lottery, or of the best lottery over the plans found
-    so far. At the end the plans of the lottery are changed, in all states and one by one, while
-    this improves it.
+    so far. At the end the plans of the lottery are changed, in all states or in one, while this
+    improves it.
 
     Args:
         problem: ``MCMP`` with a failure budget.

@@ -2,8 +2,8 @@
 
     python examples/distributed/scaling.py --ranks 1 2 4 --robots 40x24 80x36 --turns 3
 
-starts mpiexec itself. Every number of ranks, and the local method on --threads threads, runs in
-separate processes; they alternate in turns, and ratios are medians of the ratios within a turn.
+starts mpiexec itself. A turn runs the problem with each number of ranks, and by the local method on
+--threads threads, each in separate processes. Ratios are medians over the turns.
 Seconds are those of the slowest rank, after a small problem has loaded the compiled loops; memory
 is the greatest resident memory of a rank, with Python and all libraries, and the resident memory
 before the model was built.

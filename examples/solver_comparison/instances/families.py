@@ -254,8 +254,8 @@ def inventory(capacity: int, days: int) -> SSP:
 def sysadmin(machines: int) -> SSP:
     """Return a ring of machines of which one is rebooted a step, until all work at once.
 
-    Machines fail the likelier the fewer of their neighbours work; where none works all is lost.
-    Every other one works at the start.
+    The fewer of a machine's neighbours work, the likelier it fails. If none works, all is lost.
+    At the start every other machine works.
     """
     bits, every = 1 << np.arange(machines), (1 << machines) - 1
     up = _begun_at(np.arange(1, every), int(bits[::2].sum()))
