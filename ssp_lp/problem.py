@@ -69,7 +69,8 @@ class Problem(ReadOnlyCopies):
 
     The class attributes are the defaults: no discount, all runs count (not successes alone), no
     limits except the failure budget. If failing has a price instead of a limit, ``failure_budget``
-    is 1 and ``semantics`` has the penalty. ``semantics.aim`` says whether the cost or only the goal counts.
+    is 1 and ``semantics`` has the penalty. ``semantics.aim`` says whether the cost or only the goal
+    counts.
     """
 
     model: SSP
