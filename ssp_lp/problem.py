@@ -426,7 +426,7 @@ def has_boxes(verb: str) -> ModelError:
     """Return the error of a function that needs fixed probabilities, for a problem over boxes."""
     return ModelError(
         f"{verb} needs one choice of probabilities, and the problem has boxes: pass box= to "
-        "evaluate, or solve it and take solution.problem, which has the worst of them"
+        "evaluate, or solve it and take solution.problem, which has the worst probabilities"
     )
 
 
@@ -435,9 +435,9 @@ def check_measures(problem: Problem) -> None:
     name = type(problem).__name__
     if problem.ratio or problem.semantics.counts_law:
         raise ModelError(
-            f"{name} counts a cost given success or its law, which has no worst case over boxes "
-            "(cost over goal probability would overstate without limit): use MCMP, MaxProb, "
-            "MinCost or FinitePenalty"
+            f"{name} counts a cost given success, whose worst case over boxes is not computed "
+            "(the worst cost divided by the least goal probability may be far above it): use MCMP, "
+            "MaxProb, MinCost or FinitePenalty"
         )
     for word, given in (("a horizon", problem.horizon is not None),
                         ("a discount", problem.discount is not None),

@@ -50,8 +50,8 @@ class WorstCase(Facts):
             ModelError: always.
         """
         raise ModelError(
-            "the cost given success has no worst case here: worst cost over least goal probability "
-            "would overstate it without limit; use expected_cost and failure_probability"
+            "the worst cost given success is not computed (worst cost divided by least goal "
+            "probability may be far above it): use expected_cost and failure_probability"
         )
 
     def tables(self) -> list[Table]:
