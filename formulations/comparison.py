@@ -77,7 +77,7 @@ class CriteriaComparison(Report):
             if row.criterion == criterion:
                 return row
         nearest = did_you_mean(criterion, [row.criterion for row in self.rows], "there are")
-        raise KeyError(f"{criterion!r} is not a row{nearest}")
+        raise KeyError(f"{criterion!r} is not a row of the table{nearest}")
 
     def __repr__(self) -> str:
         """Return a line with the number of criteria; :meth:`summary` is the table."""

@@ -547,7 +547,7 @@ class Arrivals:
     def _too_large(self, reason: str) -> str:
         """Return the message for a table that would be too large, with the reason."""
         return (
-            f"the law of the cost given success needs too large a table ({reason}): "
+            f"the distribution of the cost given success takes too large a table ({reason}): "
             f"{self._size - 1:,} nodes of the policy's chain times {self._width:,} layers of cost "
             f"{float(self.unit):g}, of which {self.settled:,} are computed. Round the costs to a "
             "coarser grid when building the model, or ask for a lower cost or level"

@@ -230,7 +230,7 @@ class CostLaw:
     def upto(self, bound: float | Fraction) -> Atoms:
         """Return the atoms up to a total cost ``bound``, compared as :meth:`within` does."""
         if bound == inf:
-            raise ModelError("give a finite bound, or all_but(mass)")
+            raise ModelError("the bound must be finite: pass one, or use all_but(mass)")
         _check_cost_number(bound, "bound")
 
         def atoms(arrivals: Arrivals) -> Atoms:

@@ -433,7 +433,7 @@ def _simulate_episodes(
 def _check_simulated_states(model: SSP, state: IntArray) -> None:
     """Raise :class:`ModelError` unless a simulator returned states of the model."""
     if ((state < 0) | (state >= model.n_states)).any():
-        raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
+        raise ModelError(f"the simulator returned a state outside 0 .. {model.n_states - 1}")
 
 
 def _failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:

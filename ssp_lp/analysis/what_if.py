@@ -223,7 +223,7 @@ class _Optimum:
             if measure.beyond <= _BEYOND:
                 return cls(solved, measure, cap)
             cap *= 2.0
-        raise SolverError("a cost given success has too many total costs for what_if: round them")
+        raise SolverError("too many total costs given success for derivatives: round the costs")
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state to pickle: all fields and cached numbers except ``optima``."""
@@ -368,7 +368,7 @@ class _Optimum:
         wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
         if wrong.any():
             label = self.measure.program.label(int(own[np.argmax(wrong)]))
-            raise ModelError(f"no derivatives: the outcomes of {label} do not explain its cost")
+            raise ModelError(f"no derivatives: the outcomes of {label} do not add up to its value")
         return own[each], outcome, place, worth
 
     @cached_property
@@ -664,7 +664,7 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
         raise
     if 2.0 * seconds_left() < limit:
         raise Stop  # the limit has cut the solver short of a vertex
-    raise SolverError("what_if needs exact prices: the solver found no vertex of the program")
+    raise SolverError("interior points alone solved the program: their prices are too rough")
 
 
 def _facts(model: SSP) -> dict[str, Any]:

@@ -50,15 +50,15 @@ class WorstCase(Facts):
             ModelError: always.
         """
         raise ModelError(
-            "the cost given success has no worst case here: worst cost over least goal probability "
-            "would overstate it without limit; use expected_cost and failure_probability"
+            "the worst cost given success is not computed (worst cost divided by least goal "
+            "probability may be far above it): use expected_cost and failure_probability"
         )
 
     def tables(self) -> list[Table]:
         """Return a table of all measures, with a note that they need not occur together."""
         note = "each at its own probabilities: they need not occur together"
         if not self.is_exact:
-            note += "; bounds, since nature chooses for each policy of a lottery or at each visit"
+            note += "; bounds: each policy of a lottery, or each visit, has its own worst case"
         return [
             Table([
                 ("worst objective", self.objective),
@@ -152,7 +152,7 @@ def _cost(boxed: BoxedChain, semantics: FailureSemantics, boxes: Boxes, penalty:
     inside = boxed.acting if semantics.give_up is GiveUp.DEAD_ENDS else chain.alive
     stopping, entering = worst_charges(semantics, boxes)
     if np.isinf(stopping[chain.state[chain.give_up > 0.0]]).any():
-        raise ModelError(f"the policy gives up where {semantics.give_up!s} does not allow it")
+        raise ModelError(f"the policy gives up where give_up={str(semantics.give_up)!r} forbids it")
     lost = ~inside & (chain.goal == 0.0)
     stop = np.where(chain.give_up > 0.0, stopping[chain.state], 0.0) + penalty
     ends = np.where(chain.dead > 0.0, entering[chain.state], stopping[chain.state])

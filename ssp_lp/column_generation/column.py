@@ -103,7 +103,7 @@ def required(part: _Array | None) -> _Array:
         ModelError: the column has none, since it was not made by pricing.
     """
     if part is None:
-        raise ModelError("this column has no choice or totals: pricing did not make it")
+        raise ModelError("the column has no choice or totals: the pricing problem did not make it")
     return part
 
 

@@ -562,7 +562,7 @@ def _initial_column_within(
     if not answers:
         least_failure = min((column.failure for column in columns), default=1.0)
         raise deadline.Stop(
-            told=f"the safest policy known by then fails with {least_failure:.6g}"
+            told=f"the safest policy found fails with probability {least_failure:.6g}"
         ) from stop
     return min(answers, key=lambda column: row.objective(column.cost, column.goal))
 

@@ -51,7 +51,7 @@ class Part(SSP):
         Raises:
             ModelError: always.
         """
-        raise ModelError("the whole graph is needed: use ssp_lp.solve on an undistributed model")
+        raise ModelError("predecessors need the whole graph: use ssp_lp.solve on the whole model")
 
     @property
     def graph(self) -> Graph:

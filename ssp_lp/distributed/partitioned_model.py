@@ -39,7 +39,7 @@ from ssp_lp.solution import Run
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
 _AGAIN = 3  # number of policies of an earlier run that are evaluated first
 _FINER = 1e-3  # factor of the tolerance if a complement is minimised, which may be much larger
-_WHOLE = "solve it with ssp_lp.solve on a model that is not distributed"
+_WHOLE = "solve it with ssp_lp.solve on the whole model"
 
 
 @dataclass(frozen=True, eq=False)
@@ -346,7 +346,7 @@ class _Checkpoint:
         for one in self._earlier[-_AGAIN:]:
             policy = PartitionedPolicy.load(self._part, one)
             if policy.told["question"] != self._question:
-                raise ModelError(f"the checkpoint {self._folder} is of {policy.told['question']}")
+                raise ModelError(f"{self._folder} has another question: {policy.told['question']}")
             process.earlier.append(process.evaluated(policy.positions[0]))
             prices = policy.told["prices"]
         return DualGuess(prices[1], _SURE) if prices[0] == 1.0 and prices[1] > 0.0 else None
@@ -385,8 +385,8 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
                              criterion)  # fmt: skip
     name = criterion.__name__
     if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
-        raise ModelError("ranks support no horizon and no reach_fraction: give failure_budget, "
-                         "and make the number of steps a part of the states")  # fmt: skip
+        raise ModelError("ranks support neither horizon nor reach_fraction: count the steps in "
+                         "the states, and state failure_budget")  # fmt: skip
     problem: Formulation = criterion(part, **asked)
     if problem.semantics.charge(problem.ratio) is not None:
         raise ModelError(f"{name} counts the total cost of a run: {_WHOLE}, or use MCMP on ranks")

@@ -76,7 +76,7 @@ class _OwnDecisions(Policy):
         Raises:
             ModelError: always.
         """
-        raise ModelError("a rank has its own decisions only: use PartitionedPolicy.on(model)")
+        raise ModelError("a rank lacks other ranks' decisions: use PartitionedPolicy.on(model)")
 
 
 class _Equations:

@@ -396,8 +396,8 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
     size = len(exits)
     if size > _MOST_STATES and order is None:
         raise SolverError(
-            f"a policy's equations on {size:,} states that reach each other are too many to solve "
-            "directly: a discount may help"
+            f"{size:,} states that reach each other under a policy are too many for a direct "
+            "solver: try a discount"
         )
     system = equations(matrix, exits, order)
     factors = factorised(system, in_order=order is not None)

@@ -403,7 +403,7 @@ def _least_ratio(
     if not hopeful:
         raise SolverError(
             "the game cannot compute costs given success: the goal is reached with a (discounted) "
-            f"probability of at most {responses[0].success:.1e}"
+            f"probability of at most {responses[0].success:.1e}; use a discount nearer to 1"
         )
     best = min(hopeful, key=lambda r: r.ratio)
     for _ in range(_MOST_ROUNDS):

@@ -59,7 +59,7 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
     lottery = as_lottery(policy)
     model, members = lottery.model, lottery.policies
     if not (name.isascii() and name.isidentifier()):
-        raise ModelError(f"name must be a name in C, not {name!r}")
+        raise ModelError(f"name must be an identifier in C, not {name!r}")
     fields, units = list[dict[str, Any]](), set[float | None]()
     for member in members:
         stated = controller_member(member)

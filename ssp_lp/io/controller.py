@@ -286,7 +286,7 @@ def _place_of(memory: dict[str, Any], number: int, state: int) -> int:
     """
     place: int = memory["place"][number][state]
     if place < 0:
-        raise ValueError("the policy does not have this memory in this state")
+        raise ValueError("the policy never has this value of its memory in this state")
     return place
 
 
@@ -359,7 +359,7 @@ def _number_after(
     for paid, then in moves:
         if paid is None or isclose(paid, cost, rel_tol=_OFF_LATTICE):
             return int(then)
-    raise ValueError(f"the model has no such step at observed cost {cost!r}")
+    raise ValueError(f"the model has no step between these states at observed cost {cost!r}")
 
 
 def _layer_or_tail(memory: dict[str, Any], layer: int, reached: float, state: int) -> int:

@@ -158,7 +158,7 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     for step, cost, then in zip(steps.tolist(), product.costs.tolist(), end.tolist(), strict=True):
         if after.setdefault(tuple(step), {}).setdefault(cost, then) != then:
             told = f"a step to state {product.original.states[step[3]]!r} at cost {cost:g}"
-            raise ModelError(f"a controller sees states and costs, so that after {told} it cannot "
+            raise ModelError(f"a controller sees states and costs: after {told} it cannot "
                              f"know whether the memory is {product.memories[then]!r}")  # fmt: skip
     moves: list[list[Any]] = []
     for step, by_cost in after.items():
@@ -170,7 +170,7 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     first = product.first_memory(states)
     begun = np.unique(first[product.table[states, first] >= 0]).tolist()
     if len(begun) > 1:
-        raise ModelError("a controller begins with one memory: use a policy for one start")
+        raise ModelError("the memory begins differently in several starts: use one start")
     return {"kind": "task", "start": begun[0], "moves": moves}
 
 

@@ -234,7 +234,7 @@ def from_gymnasium(
     logging.getLogger("ssp_lp.building").info("%r", model)
     if steps is None:
         if survive:
-            raise ModelError("surviving needs a number of steps: ", Argument("horizon"))
+            raise ModelError("survive=True needs a number of steps: ", Argument("horizon"))
         return GymnasiumWorld(model, begin, limit, None, continuous)
     ends = () if continuous is None else tuple(continuous.dead_ends)  # absorbing, with actions
     unrolled = within_steps(model, steps, start=begin, survive=ends if survive else False)
@@ -571,7 +571,7 @@ def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
     goals = (least > 0.0) & (most > 0.0)
     if not goals.any():
         ends = [table.states[k] for k in list(dict.fromkeys(to.tolist()))[:5]]
-        message = f"no step into one of the environment's ends {ends} is rewarded: "
+        message = f"no step into a terminal state, {ends}, has a reward above 0: "
         raise ModelError(message, *_SAY_GOALS)
     return np.asarray(goals)
 

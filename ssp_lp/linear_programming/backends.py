@@ -44,7 +44,7 @@ _DOUBTFUL = 1e-7  # relative doubt in the objective from which on another backen
 _CLARABEL = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-9)
 """Tolerances below Clarabel's own, because long runs amplify violations of rows."""
 
-_REMEDY = "column generation needs no LP solver"
+_REMEDY = "use method='columns', which needs no LP solver"
 
 
 def backends_for(program: LinearProgram, backend: str | None) -> tuple[str, ...]:
@@ -97,7 +97,7 @@ def first_accepted(
     if accepted:
         return min(accepted, key=lambda each: each[0])[1:]
     if is_late():
-        raise Stop(told=f"no backend's answer passed its check by then: {tried[-1]}")
+        raise Stop(told=f"no LP backend's answer passed its check in time: {tried[-1]}")
     failures = "; ".join(tried)
     raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
 

@@ -389,7 +389,7 @@ def _safest_optimum(
         optimum = _attempt(compiled, row, least, options, None, by_pricing=False)
         return replace(optimum, generated=replace(optimum.generated, finished=False))
     words = stop.told if isinstance(stop, Stop) else ""
-    raise Stop(told=words or "no policy had been evaluated") from stop
+    raise Stop(told=words or "no policy was evaluated") from stop
 
 
 def _attempt(

@@ -122,7 +122,7 @@ def best_deterministic(mixed: Solution, outcome: Optimum[Any], tolerance: float)
     if not finished and "stopped" not in mixed.note:
         remarks.append("stopped before the search was finished; the gap is still certified")
     if finished and gap > max(_OPEN, 2.0 * tolerance):
-        remarks.append("the gap bounds the gain of policies outside the search")
+        remarks.append("policies outside the search may be better, by at most the gap")
     is_slack = (
         len(generated.columns) == 1 and mixed.failure_price == mixed.problem.semantics.penalty
     )

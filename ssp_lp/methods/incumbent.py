@@ -47,7 +47,7 @@ from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 _ROUGH = SolveOptions(1e-3)  # tolerance in case M, whose policy is not optimal anyway
 _NOTHING = 1e-290  # a smaller bound is 0
 _VARIANCE = 1e-6  # rounding error of a standard deviation, relative to the mean
-_MOMENTS = "its objective is a bound by mean and variance, as its law of costs takes longer"
+_MOMENTS = "its objective is a bound by mean and variance: the exact value takes longer"
 _DEAREST = 1.0 - 1e-12  # factor of the least total that covers the rounding of its sums
 
 
@@ -160,7 +160,7 @@ def _incumbent_value(
     bound, sense, sign = worth_bound(problem), AS_ASKED, 1.0
     if problem.semantics.maximises:
         sense, sign = ObjectiveSense(0.0), -1.0
-    reason = "the incumbent of case M, which the search had not improved"
+    reason = "a policy of case M, which the search did not improve in time"
     note = CUT_SHORT if judge is evaluate else f"{CUT_SHORT}; {_MOMENTS}"
     answer = Answer(policy, sign * evaluation.objective, sign * bound, failure, note=note)
     return assembled(problem, answer, Run("columns", reason, 0, 0.0), sense)

@@ -135,7 +135,7 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
                 raise measuring.stop
         if best is None:
             continue
-        more = "set more levels for a smaller gap" if most else "no room for more levels"
+        more = "raise cost_levels for a smaller gap" if most else "more would be too many"
         note = f"totals are rounded to {outcome.compiled.layers:,} levels up to {total:.6g}: {more}"
         gap = relative_gap(best.value, bound)
         if units and most is None and gap > options.tolerance and not for_price:
@@ -276,7 +276,7 @@ def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
         rows = Rows.of_failure(row.raised_to(safest), pricing)
         found = lottery_within(pricing, [*columns, safest], rows, ratio=True)
     if found is None:
-        raise SolverError("the policy of least failure never reaches the goal on the true model")
+        raise SolverError("the policy of least failure never reaches the goal at exact costs")
     return Answer(found.lottery(pricing), found.objective, 0.0, found.failure)
 
 
@@ -592,9 +592,9 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
             attained = problem.semantics.worth_of(measured_costs(best.policy, problem))
     if two_sided_gap(attained, bound) > options.tolerance and not is_late():
         unit = cast("CostAwarePolicy", best.policy.policies[0]).unit
-        more = "no room for more levels"
+        more = "a finer unit would need too many levels"
         if problem.cost_levels is not None:
-            more = "set more levels for a smaller gap"
+            more = "raise cost_levels for a smaller gap"
         note = f"costs are rounded to multiples of {unit:g}: {more}"
     return replace(
         best,

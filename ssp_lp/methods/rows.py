@@ -210,7 +210,7 @@ def rows_optimum(
             ", or allow more time",
         )
     if compiled.is_rounded and not note:
-        note = f"totals are rounded to {levels}: set more levels for a smaller gap"
+        note = f"totals are rounded to {levels}: raise cost_levels for a smaller gap"
     return replace(best, note=note)
 
 

@@ -166,7 +166,7 @@ class Boxes(Report, ReadOnlyCopies):
         totals, notes = segment_sums(counts, model.outcome_offsets), []
         if never.size:
             most = float(self.high[never].max())
-            notes.append(f"successors never seen: {never.size:,}; each may have up to {most:.2g}")
+            notes.append(f"successors never seen: {never.size:,}; of probability up to {most:.2g}")
         few = (totals < USEFUL_COUNT) & (np.diff(model.outcome_offsets) > 1)
         if few.any():
             wide = f"the widest interval is {float((self.high - self.low).max()):.2g}"

@@ -399,7 +399,7 @@ class ContinuousModel:
             answer = np.asarray(self.allowed(middles, action))
             if answer.dtype != np.bool_ or answer.shape not in ((), (count,)):
                 raise ModelError(
-                    f"allowed must return a truth value for each of {count:,} midpoints, not "
+                    f"allowed must return True or False for each of {count:,} cells, not "
                     f"{in_short(answer)}"
                 )
             there[:, k] = answer
@@ -407,7 +407,7 @@ class ContinuousModel:
         if idle.any():
             middle = [float(values[np.argmax(idle)]) for values in middles]
             raise ModelError(
-                f"no action is allowed in the cell about {middle}: allow one, or let the steps "
+                f"no action is allowed in the cell around {middle}: allow one, or let the steps "
                 "that lead there end in a dead-end"
             )
         return read_only(pairs[there.ravel()])

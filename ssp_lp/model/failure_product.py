@@ -251,5 +251,5 @@ def check_label(model: SSP) -> FailureSSP:
         ModelError: it is another model.
     """
     if model.failure_label is None:
-        raise ModelError("the problem counts no quantities after failing: its policies end there")
+        raise ModelError("the policy ends when it fails, as its problem counts nothing afterwards")
     return model.failure_label

@@ -431,14 +431,14 @@ def unfold(
         n_found += new.size
         if n_found > state_limit:
             told = f"more than state_limit={state_limit:,} states are reachable"
-            raise ModelError(f"{told}; raise the limit or bound the memory")
+            raise ModelError(f"{told}: raise the limit or bound the memory")
         number, state = np.divmod(new, n)
         goes_on = ~is_over(state, number)
         width = widths[state] * goes_on
         outcomes = possible[concatenated_ranges(first[state], width)]
         moved = after(np.repeat(number, width), outcomes)
         if (room := (int(moved.max(initial=0)) + 1) * n) > MOST_PLACES:
-            raise ModelError(f"{room // n:,} memories on {n:,} states are too many")
+            raise ModelError(f"{room // n:,} memories on {n:,} states are too many: use fewer")
         target = moved.astype(np.int32, copy=False) * np.int32(n) + model.successors[outcomes]
         rounds.append((state, number, goes_on, outcomes, target))
         if room > places.size:

@@ -22,7 +22,7 @@ class ByName(dict[str, _Value]):
 
     def __missing__(self, name: object) -> _Value:
         """Raise :class:`KeyError` with the nearest name."""
-        raise KeyError(f"there is no {name!r} here{did_you_mean(name, self, 'there are')}")
+        raise KeyError(f"there is no entry {name!r}{did_you_mean(name, self, 'there are')}")
 
 
 @dataclass(frozen=True)

@@ -1056,7 +1056,7 @@ class FlatModel:
         if not costs or named.keys() != costs.keys():
             told = "the costs " + ", ".join(map(repr, costs)) if costs else "no costs"
             others = ", ".join(map(repr, named)) or "none by name"
-            raise ModelError(f"{where} has {told}, others have {others}: name them everywhere")
+            raise ModelError(f"{where} has {told}, others {others}: name the same everywhere")
         if (self._cost is None and len(named) > 1) or self._cost not in (None, *named):
             known = ", ".join(map(repr, named))
             said = "" if self._cost is None else f", not {self._cost!r}"

@@ -49,7 +49,7 @@ class _Reader:
             match = _TOKEN.match(text, end)
             if match is None:
                 start = end + len(text[end:]) - len(text[end:].lstrip())
-                raise self._error("not an operator or a name", start)
+                raise self._error("not a name or an operator", start)
             kind, end = str(match.lastgroup), match.end()
             name, start = match[kind], match.start(kind) - (kind == "quoted")
             kind = "sign" if kind == "word" and name in _WORDS else kind
@@ -272,7 +272,7 @@ class Task:
         for bit, name in enumerate(self.names):
             is_action = np.array([str(word) == name for word in model.action_names], dtype=np.bool_)
             if name in model.state_labels and is_action.any():
-                raise ModelError(f"{self!r}: {name!r} is both a label of states and an action")
+                raise ModelError(f"{self!r}: {name!r} is a state label and an action: rename one")
             if name in model.state_labels:
                 states[model.state_labels[name]] |= 1 << bit
             elif is_action.any():

@@ -108,7 +108,7 @@ class TrackedSSP(ProductSSP):
             k = int(np.argmax(least != most))
             told = f"{model.describe_pair(int(taken[k]))} to {model.states[int(successors[k])]!r}"
             if most[k] < 0:
-                raise ModelError(f"{told}: the model has no such step")
+                raise ModelError(f"the model has no step by {told}")
             raise ModelError(
                 f"{told} at cost {float(costs[k]):g}: outcomes with this successor and this cost "
                 f"differ in {automaton.name}: give them different successors or different costs"

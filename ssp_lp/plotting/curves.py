@@ -316,7 +316,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
         ModelError: the goal is never reached, a level out of range, or costs without a common unit.
     """
     if law.goal == 0.0:
-        raise ModelError("the policy never reaches the goal: there are no costs of success to draw")
+        raise ModelError("no costs to draw: the policy never reaches the goal")
     ax = axes_or_new(ax)
     quantile, tail = law.quantile(level), law.tail_mean(level)
     costs, shares, width = _bars_of_law(law)

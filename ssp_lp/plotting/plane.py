@@ -85,7 +85,7 @@ def cells_of(model: SSP, cells: Places) -> FloatArray:
     """
     points = points_of(model.states, cells)
     if np.isnan(points).all():
-        raise ModelError(f"no state has a point: a state is, for instance, {model.states[0]!r}")
+        raise ModelError(f"no state has a point: give points of states such as {model.states[0]!r}")
     return points
 
 

@@ -236,7 +236,7 @@ def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
     keepers: dict[tuple[object, ...], Policy] = {}
     for member in policy.policies:
         if member.memory_size is None:
-            raise ModelError(f"the memory of a {type(member).__name__} is unknown")
+            raise ModelError(f"the memory values of a {type(member).__name__} are unknown")
         if member.memory_size > 1:
             keepers.setdefault(member.meaning, member)
     return tuple(keepers.values())
@@ -419,7 +419,7 @@ class LabelledPolicy(_Carried):
         taken = np.where(taking, product.giving_up_by(pairs), product.placed(here, pairs))
         if (taken < 0).any():
             pair_words = self.model.describe_pair(int(pairs[int(np.argmax(taken < 0))]))
-            raise ModelError(f"{pair_words} may lead to the goal: it is not taken after failing")
+            raise ModelError(f"{pair_words} may lead to the goal: no policy takes it after failing")
         moved = product.moved(taken, successors, costs)
         failed = product.after[moved]
         charge = product.costs[product.outcome_offsets[taken]]

@@ -229,8 +229,8 @@ class Condition:
                 if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
                         f"constraint {self.name!r} bounds costs, visits or exceeds(...) from "
-                        "below: add a row of your own to problem.program() instead (not with "
-                        "criteria of the total cost)"
+                        "below: add a row of your own to problem.program() instead (criteria of "
+                        "the total cost have no such rows)"
                     )
                 offset -= weight
                 term, weight = replace(term, others=not term.others), -weight

@@ -292,7 +292,7 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
             given = in_short(probability)
             raise ModelError(f"start probability of state {state!r} must be a number, not {given}")
         if not 0.0 <= float(probability) <= 1.0 + 1e-12:
-            raise ModelError(f"start probability of state {state!r} is {probability!r}")
+            raise ModelError(f"start probability {probability!r} of state {state!r}: not in [0, 1]")
         distribution[model.index_of(state, "start")] += float(probability)
     total = float(distribution.sum())
     if abs(total - 1.0) > PROBABILITY_SUM:
@@ -393,9 +393,9 @@ def check_failure_setting(
     if failure_budget is None and reach_fraction is None and discount is not None:
         raise ModelError(
             Argument("failure_budget", None),
-            " (least failure) is exact only: leave ",
+            " (least failure) supports no discount: leave ",
             Argument("discount"),
-            " out, or give a budget for the discounted surrogate",
+            " out, or give a budget for the discounted failure",
         )
 
 

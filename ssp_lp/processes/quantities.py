@@ -621,8 +621,8 @@ def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
         return None
     if len(costs) < len(terms) or min(weight for weight, _ in costs) < 0.0:
         raise ModelError(
-            "an arrival cost can be added to arrival costs only, with weights >= 0: limit other "
-            "quantities instead"
+            "an arrival cost can be added only to arrival costs, with weights >= 0: put other "
+            "quantities into constraints"
         )
     constant = quantity.constant
 

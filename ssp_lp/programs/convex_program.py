@@ -268,8 +268,8 @@ class ConvexProgram:
             raise SolverError(f"cvxpy: the answer breaks {name!r} {excess}: try another solver, "
                               "or tighter tolerances by its options")  # fmt: skip
         kept = _OBJECTIVE if name == _OBJECTIVE else f"constraint {name!r}"
-        raise SolverError(f"{kept} needs visits that circulate for ever, which no policy makes: "
-                          f"without them it is missed {excess}")  # fmt: skip
+        raise SolverError(f"{kept} is attained only by visits that circulate for ever, which no "
+                          f"policy has: the policy's visits break it {excess}")  # fmt: skip
 
     def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
         """Return the solver's answer as the measure of a policy, with the violations of rows.

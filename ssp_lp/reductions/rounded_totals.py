@@ -55,9 +55,9 @@ def solve_rounded(
         found = solve(problem)
     except InfeasibleError as error:
         raise SolverError(
-            f"no policy satisfies the limits with totals rounded up to multiples of {unit:.3g}, "
-            "but one does with totals rounded down: round the amounts to fewer values, or relax "
-            "the limits"
+            "the limits' feasibility is undecided: no policy satisfies them with totals rounded up "
+            f"to multiples of {unit:.3g}, but one does with totals rounded down; round the amounts "
+            "to fewer values, or relax the limits"
         ) from error
     upper = found.upper_bound
     if upper is not None and looser.upper_bound is not None:

@@ -203,7 +203,7 @@ class Statement:
         known = TotalCostCharge, Reward, ExpectedArrivalCost
         if charge is not None and not isinstance(charge, known):
             name = type(charge).__name__
-            raise _refused(problem, f"its charge of the total cost is a {name}{_IN_MEMORY}")
+            raise _refused(problem, f"a {name} charges its total cost{_IN_MEMORY}")
         self.flat, self.charge = problem, charge
         if problem.horizon is not None:
             labels = {**problem.model.state_labels, LATE: np.zeros(0, dtype=np.int64)}
