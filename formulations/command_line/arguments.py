@@ -156,7 +156,7 @@ class _OneLineParser(ArgumentParser):
     """A parser whose errors are one line: ``--help`` shows the usage, errors do not."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """Parse arguments; the error for an unknown one names the likely one."""
+        """Parse arguments; the error for an unknown one suggests a similar one."""
         asked, unknown = super().parse_known_args(args, namespace)
         if unknown:
             if unknown[0][:1] != "-":

@@ -87,7 +87,7 @@ def read_any(
 def _csv_model(
     file: Path, goals: Sequence[str], cost: str | None, dead_ends: DeadEnds | None
 ) -> SSP:
-    """Return the model of a CSV file: columns that describe outcomes, and columns of costs."""
+    """Read a model from a CSV file; columns that do not describe outcomes are costs."""
     if not goals:
         message = f"{file.name} does not list the goal states: name them by "
         raise ModelError(message, Argument("goal"))

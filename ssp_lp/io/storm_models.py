@@ -92,7 +92,7 @@ def read_with_storm(
     Raises:
         MissingDependencyError: stormpy is not installed.
         ModelError: Storm rejects the file, the goal or the constants; a model in continuous time,
-            with observations or parameters; or naming the wrong state and action.
+            with observations or parameters; or a wrong state and action, which the error names.
         OSError: the file cannot be read.
     """
     file = Path(path)
@@ -263,8 +263,8 @@ def from_stormpy(
 
     Raises:
         MissingDependencyError: stormpy is not installed.
-        ModelError: a model of another kind, no such goal or cost, or naming the wrong state and
-            action, for instance one with a negative reward.
+        ModelError: a model of another kind, no such goal or cost, or a wrong state and action, for
+            instance with a negative reward; the error names them.
     """
     formula = None
     if '"' in goal:

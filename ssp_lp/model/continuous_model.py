@@ -248,7 +248,7 @@ class Distribution(ReadOnlyCopies):
     @classmethod
     @explained
     def uniform(cls, low: float, high: float) -> Distribution:
-        """Return uniform noise on an interval; :class:`ModelError` unless low <= high, finite."""
+        """Return uniform noise on an interval; :class:`ModelError` for a wrong interval."""
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
             raise ModelError(f"a uniform distribution needs low <= high, not {low!r}, {high!r}")
         return cls(partial(_between, float(low), float(high)))
@@ -259,7 +259,8 @@ class Distribution(ReadOnlyCopies):
         """Return noise with finitely many values, [atoms], and probabilities, [atoms].
 
         Raises:
-            ModelError: other shapes, a value that is not finite, or no probabilities.
+            ModelError: arrays of different shapes, a value that is not finite, or probabilities
+                that are negative or do not sum to 1.
         """
         atoms = np.asarray(values, dtype=np.float64)
         chance = np.asarray(probabilities, dtype=np.float64)
@@ -414,7 +415,7 @@ class ContinuousModel:
 
     @explained
     def end_state(self, end: str | int) -> int:
-        """Return the state of an end: "goal", a dead-end's label, or its number.
+        """Return the state that stands for an end: "goal", a dead-end's label, or its number.
 
         Raises:
             ModelError: no such end exists.
@@ -561,7 +562,7 @@ class WorldSimulator:
             )
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
-        """Draw starts: coordinates, [episodes, axes], and cells, [episodes].
+        """Draw the starts of episodes: coordinates, [episodes, axes], and their cells, [episodes].
 
         Raises:
             ModelError: a start outside the box.

@@ -45,7 +45,8 @@ _NOTHING: Any = None  # until the arrays of the model have been checked
 class ExploredSSP(SSP):
     """The explored part of an implicit model.
 
-    Its states are, in this order: expanded states, the fringe, goals, and the two ends.
+    Its states are, in this order: the expanded states, the fringe, the goals, and two added states
+    in which the actions "arrive" (a goal) and "fail" of the fringe end.
     """
 
     whole: ImplicitSSP = field(kw_only=True, default=_NOTHING)
@@ -65,7 +66,7 @@ class ExploredSSP(SSP):
         return np.asarray((place >= self.n_expanded) & (place < self.n_live))
 
     def hint(self, state: Hashable) -> str:
-        """Return a clause for errors: an unknown state may not have been explored."""
+        """Return a hint for errors: an unknown state may not have been explored."""
         return f", or was not explored{super().hint(state)}"
 
     def explored(self) -> SSP:
@@ -209,7 +210,7 @@ class Exploration:
         return list(answers.tolist())
 
     def _append_many(self, numbers: list[int]) -> None:
-        """Append the actions of states to the model, by one call of the successor function."""
+        """Append the actions of several states, by one call of a vectorised successor function."""
         flat = self.flat
         states = np.array([flat.states[k] for k in numbers], dtype=np.int64)
         told = {k: np.asarray(v) for k, v in self.whole.expand(states).items()}

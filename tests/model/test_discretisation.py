@@ -457,4 +457,6 @@ def test_a_grid_places_its_states_in_pictures():
         assert grid.place(cell) == (int(x / 0.5), int((y + 1.0) / 0.5))
     assert grid.place(grid.n_cells) is None
     refused("whole numbers", grid.place, -1)
-    refused("grid.place needs a grid of at least two axes", Grid([Axis(0.0, 1.0, cells=2)]).place, 0)
+    refused(
+        "grid.place needs a grid of at least two axes", Grid([Axis(0.0, 1.0, cells=2)]).place, 0
+    )
