@@ -28,10 +28,10 @@ _READERS: dict[str, Callable[..., ModelFile]] = {
     ".umb": read_umb,
     **dict.fromkeys(_STORM, read_with_storm),
 }
-"""Readers of formats whose goals are the states of one label, by the ending of the file's name."""
+"""Ending of a file's name -> reader of a format whose goals are the states of one label."""
 
 _WRITERS: dict[str, Callable[..., None]] = {**dict.fromkeys(_DRN, write_drn), ".umb": write_umb}
-"""Writers of formats with one initial state, by the ending of the file's name."""
+"""Ending of a file's name -> writer of a format with one initial state."""
 
 
 @explained

@@ -620,7 +620,7 @@ def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[
 _FINGERPRINT_VERSION = "ssp-lp model 1"
 
 _PIECE = 1 << 20
-"""Entries of an array converted at a time, so that large models need little memory."""
+"""Entries of an array that are hashed at a time, so that large models need little memory."""
 
 
 @explained

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     import gymnasium
 
 END = "end"
-"""First part of ("end", state): the end in a state that only some steps terminate in."""
+"""First part of ("end", state), the end in a state in which only some steps terminate."""
 
 CostFunction = Callable[[Any, Any, Any, float], float]
 """``(state, action, next_state, reward) -> cost``."""
@@ -267,7 +267,7 @@ def _is_in_box(grid: Grid, point: tuple[float, ...]) -> bool:
 
 
 FAILED, OUTSIDE = "failed", "outside"
-"""Dead-ends of a continuous environment: it terminated elsewhere, or left the box."""
+"""Dead-ends of a continuous environment: it ended outside the goal, or left the box."""
 
 
 @explained

@@ -21,11 +21,11 @@ Constants = str | Mapping[str, Any]
 """Values of a program's constants, such as "N=5,p=0.1"."""
 
 _BEYOND = "_OutOfBoundsBit"
-"""Storm's variable of states that it adds if another variable would leave its bounds; in a program
-that is explored again, underscores follow its name."""
+"""Name of a variable by which Storm marks states it adds where another variable would leave its
+bounds. If a program is explored again, underscores follow the name."""
 
 _REFUSALS = (RuntimeError, ValueError, IndexError, TypeError, OverflowError, MemoryError)
-"""Types of errors that Storm raises, which include Python's own."""
+"""Types of the errors that Storm raises."""
 
 _AVERAGED = (
     " (The cost differs between outcomes of one action, which Storm cannot represent: give each "

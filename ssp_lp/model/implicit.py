@@ -31,10 +31,10 @@ from ssp_lp.model.ssp import SSP, UNEXPLORED, FlatModel, ImplicitSSP
 from ssp_lp.model.state_rows import Outcomes, joined_outcomes
 
 BEYOND, LOST = "(a goal beyond)", "(lost beyond)"
-"""States of the explored part in which the ways out of its fringe end."""
+"""Added states of the explored part, in which the actions of its fringe end."""
 
 ARRIVE, FAIL = "(arrive)", "(fail)"
-"""Actions of states that are not expanded, and of those that may be dead-ends."""
+"""Added actions: both in states of the fringe, the second where a dead-end is possible."""
 
 
 _NO_BOUNDS: Mapping[str, float] = {}
@@ -53,9 +53,9 @@ class ExploredSSP(SSP):
     n_expanded: int = field(kw_only=True, default=0)
     n_live: int = field(kw_only=True, default=0)  # expanded states and the fringe, which come first
     numbers: IntArray = field(kw_only=True, default=_NOTHING)
-    """States in the order of finding, [expanded states, fringe, goals]."""
+    """Number (in the order of finding) of each expanded state, fringe state and goal."""
     may_end: BoolArray = field(kw_only=True, default=_NOTHING)
-    """Expanded states with a further way "fail": they reach the goal through the fringe only."""
+    """Mask of expanded states with the added action "fail"; see :meth:`Exploration.part`."""
     least_cost: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] cost bounds
     least_failure: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] failure bounds
 

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from ssp_lp.model.failure_product import FailureSSP
 
 Costs = float | Mapping[str, float]
-"""Cost of an outcome: a number, or numbers by name, of which the model counts one."""
+"""Cost of an outcome: a number, or numbers by name, one of which is the model's own cost."""
 
 Outcomes = Iterable[tuple[float, Hashable, Costs]]
 
@@ -93,12 +93,12 @@ class SSP(Graph, ReadOnlyCopies):
     state_labels: Mapping[str, IntArray]  # label -> state indices; for reports only
     exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
     named_costs: Mapping[str, FloatArray] = field(kw_only=True, default_factory=dict)
-    """Costs by name, [outcomes] each, ``costs`` among them if it has a name, for
-    ``secondary_cost("fuel")``."""
+    """Costs by name, [outcomes] each, for ``secondary_cost("fuel")``; with ``costs``, if that has a
+    name."""
     counts: FloatArray | None = field(kw_only=True, default=None)
     """Count of each outcome, [outcomes]; None: the model was not made of counts."""
     parameters: Mapping[str, PlacedParameter] = field(kw_only=True, default_factory=dict)
-    """Parameters of the expressions for probabilities and costs, by name."""
+    """Parameters on which probabilities and costs depend, by name."""
 
     @classmethod
     @explained

@@ -72,7 +72,7 @@ UNDECIDED: Final = -2
 _BY_EPISODE = ": play an episode, episode = policy.start(seed=0), and ask episode.action(state)"
 
 MOST_EPISODES: Final = 100_000_000
-"""Greatest number of episodes played side by side: about ten gigabytes."""
+"""Greatest number of episodes played side by side; they need about ten gigabytes."""
 
 Step = tuple[IntArray, IntArray, FloatArray]
 """Steps of episodes: pairs of the model, successors and costs, [episodes] each."""

@@ -31,8 +31,8 @@ _SECTIONS = {
     "@nr_states": _NUMBER,
     "@nr_choices": _NUMBER,
 }  # fmt: skip
-"""Pattern of the content of each section of the header, and the error otherwise; the content of the
-last four is on a line of its own."""
+"""Section of the header -> pattern of its content, and error for other content. The content of the
+last four sections is on a line of its own."""
 
 _LONGEST_LINE = 1 << 24  # characters
 _WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)  # of 64 bits
