@@ -224,8 +224,8 @@ def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
     """Return the variables that Storm adds to the states of a JANI program.
 
     Returns:
-        Variable -> names of the automaton's locations that its values stand for; None if the
-        variable does not distinguish states. Empty for a program that is not in JANI.
+        A dict from each added variable to the names of the locations that its values stand for, or
+        to None if the variable does not distinguish states. Empty if the program is not in JANI.
     """
     added: dict[str, list[str] | None] = {}
     if not _is_jani(program):

@@ -201,10 +201,12 @@ class Grid:
         return missed
 
     def numbers_about(self, heights: Coordinates, *, split: bool = True) -> list[IntArray]:
-        """Return the cells of each point, in one array or, where edges are split, in 2, 4, ... .
+        """Return arrays of cells, one cell of each point in each array.
 
-        A point on an edge of an axis with ``split_edges`` counts equally in the cells on both
-        sides: each array holds one of them. On other edges a point belongs to the upper cell.
+        There is one array unless points lie on an edge of an axis with ``split_edges``. Then there
+        are two, for the lower and the upper cell at the edge (4, 8, ... with several such axes): a
+        point on the edge counts half in each cell, and other points have equal cells in both. On
+        an edge of another axis a point belongs to the upper cell.
         """
         parts: list[list[IntArray]] = []
         for axis, stride, values in zip(self.axes, self.strides, heights, strict=True):
