@@ -115,11 +115,11 @@ def compare_criteria(
         failure_budgets: budgets of ``MCMP`` and ``S3P``, in addition to least failure.
         penalties: penalties D of ``FinitePenalty``, in units of cost.
         reach_fractions: shares of the greatest goal probability for ``AlphaMCMP``.
-        cost_bounds: bounds of ``CostBoundedReach``, without and within each budget.
-        levels: levels of ``CostQuantile`` and ``CVaR``, with least failure and within each budget.
-        exponential_utilities: (risk factor, goal bonus) of ``EGUBS``.
-        limits: of ``ConstrainedCost``, with least failure and within each budget.
-        horizon: of every criterion: the goal counts only within so many steps.
+        cost_bounds: bounds of ``CostBoundedReach``; a row without a budget and one for each budget.
+        levels: levels of ``CostQuantile`` and ``CVaR``; rows for least failure and for each budget.
+        exponential_utilities: pairs (risk factor, goal bonus) for ``EGUBS``.
+        limits: limits of ``ConstrainedCost``; rows for least failure and for each budget.
+        horizon: number of steps within which the goal counts, in every row; None: unlimited.
         verbose: show progress (``ssp_lp.progress_shown``).
 
     Returns:

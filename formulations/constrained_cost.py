@@ -37,9 +37,9 @@ class ConstrainedCost(Formulation):
 
     Semantics:
         every secondary cost is counted like the cost: until failure is declared, and discounted if
-        a discount is given. With ``charge_failing_step`` failing is charged the least secondary
-        cost of the step. Policies that pay any of the costs for ever are excluded. With least
-        failure the limits choose among the policies of the greatest goal probability.
+        a discount is given. With ``charge_failing_step``, failing in a state is also charged the
+        state's least secondary cost. Policies that pay any of the costs for ever are excluded. With
+        least failure the limits choose among the policies of the greatest goal probability.
 
     Reference:
         Trevizan, Thiebaux, Santana, Williams: Heuristic search in dual space for constrained

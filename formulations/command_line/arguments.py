@@ -23,7 +23,7 @@ CRITERIA = {
     for name, page in PAGES.items()
     if name not in {"ConstrainedCost", "GUBS"}  # MCMP with --limit, and a function of the cost
 }
-"""Names of criteria in a shell, which are those of their modules, and their classes."""
+"""Name of a criterion's module, with hyphens -> name of its class."""
 
 _FILES = {"bash": "_shtab_compgen_files", "zsh": "_files", "tcsh": "f"}
 """Completion functions of shells for a file's name, as in shtab's ``FILE``."""
@@ -98,26 +98,26 @@ def option(name: str, value: object = ...) -> str:
 
 PARAMETERS = {
     "failure_budget": _Option(
-        "largest failure probability; none, the default of most criteria: the least one; several, "
-        "0.01,0.05, make a table of solve",
+        "greatest failure probability; none (default of most criteria): as low as possible; with "
+        "several, 0.01,0.05, solve prints a table",
         _budgets_argument,
         "P[,P]",
     ),
     "reach_fraction": _Option(
-        "share of the greatest goal probability to attain at least", _float_argument, "SHARE"
+        "least share of the greatest goal probability", _float_argument, "SHARE"
     ),
     "penalty": _Option("cost of failing", _float_argument, "COST"),
     "level": _Option("level of the quantile or the tail, such as 0.95", _float_argument, "P"),
     "cost_bound": _Option("greatest total cost", number_argument, "COST"),
     "cost_budget": _Option("greatest expected cost", _float_argument, "COST"),
-    "risk_factor": _Option("exponential utility, < 0: averse to risk", _float_argument, "X"),
+    "risk_factor": _Option("factor of the cost in the utility, < 0", _float_argument, "X"),
     "goal_bonus": _Option("utility of the goal itself", _float_argument, "X"),
     "quantity": _Option("quantity to minimise, as in --limit", str, "QUANTITY"),
-    "discount": _Option("of the paper's surrogate, in (0, 1), or none", _number_or_none, "GAMMA"),
-    "give_up": _Option("giving up: anywhere, attention (states), dead_ends", str, "WHERE"),
+    "discount": _Option("discount factor in (0, 1), or none", _number_or_none, "GAMMA"),
+    "give_up": _Option("where to give up: anywhere, attention, dead_ends", str, "WHERE"),
     "charge_failing_step": _Option("pay for the step at which failure is declared"),
-    "cost_cap": _Option("distinguish total costs up to this one", _float_argument, "COST"),
-    "cost_levels": _Option("number of total costs to distinguish", int, "N"),
+    "cost_cap": _Option("greatest total cost that is counted exactly", _float_argument, "COST"),
+    "cost_levels": _Option("greatest number of total costs to count", int, "N"),
 }
 """Arguments of criteria, by name; each class says which of them it takes and needs."""
 
@@ -156,7 +156,7 @@ class _OneLineParser(ArgumentParser):
     """A parser whose errors are one line: ``--help`` shows the usage, errors do not."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """Parse arguments; the error for an unknown one names the likely one."""
+        """Parse arguments; the error for an unknown one suggests a similar one."""
         asked, unknown = super().parse_known_args(args, namespace)
         if unknown:
             if unknown[0][:1] != "-":

@@ -28,10 +28,10 @@ _READERS: dict[str, Callable[..., ModelFile]] = {
     ".umb": read_umb,
     **dict.fromkeys(_STORM, read_with_storm),
 }
-"""Readers of formats whose goals are the states of one label, by the ending of the file's name."""
+"""Ending of a file's name -> reader of a format whose goals are the states of one label."""
 
 _WRITERS: dict[str, Callable[..., None]] = {**dict.fromkeys(_DRN, write_drn), ".umb": write_umb}
-"""Writers of formats with one initial state, by the ending of the file's name."""
+"""Ending of a file's name -> writer of a format with one initial state."""
 
 
 @explained
@@ -87,7 +87,7 @@ def read_any(
 def _csv_model(
     file: Path, goals: Sequence[str], cost: str | None, dead_ends: DeadEnds | None
 ) -> SSP:
-    """Return the model of a CSV file: columns that describe outcomes, and columns of costs."""
+    """Read a model from a CSV file; columns that do not describe outcomes are costs."""
     if not goals:
         message = f"{file.name} does not list the goal states: name them by "
         raise ModelError(message, Argument("goal"))

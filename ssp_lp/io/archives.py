@@ -69,7 +69,7 @@ def write_archive(
         path: name of the file; no ending is added to it.
         kind: kind of the file, such as "policy".
         header: values that JSON supports.
-        arrays: by name.
+        arrays: arrays by name.
     """
     whole = {"format": f"ssp-lp {kind}", "version": _VERSION, **header}
     packed = np.frombuffer(json.dumps(whole, default=np.generic.item).encode(), dtype=np.uint8)
@@ -136,8 +136,8 @@ def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, A
     """Open an archive and yield its header and its arrays; nothing in it is executed.
 
     Raises:
-        ModelError: naming the file: no such archive, of a later version than this library reads,
-            or with wrong content.
+        ModelError: the file, which the error names, is no such archive, has a later version than
+            this library reads, or has wrong content.
         OSError: the file cannot be opened.
     """
     with ExitStack() as opened:
@@ -222,7 +222,7 @@ class StoredModel:
         """Read the goals, the sets of states and the number of states.
 
         Raises:
-            ModelError: naming the file: not of this format, or damaged.
+            ModelError: the file, which the error names, has another format or is damaged.
             OSError: the file cannot be opened.
         """
         self._path = path
@@ -255,7 +255,7 @@ class StoredModel:
         """Return the entries ``begin`` to ``end`` of an array in the file, and the array's length.
 
         Raises:
-            ModelError: naming the file: it is damaged.
+            ModelError: the file, which the error names, is damaged.
         """
         try:
             with ZipFile(self._path) as archive, archive.open(f"{name}.npy") as file:
@@ -282,8 +282,8 @@ def load_model(path: FilePath) -> SSP:
         The same model.
 
     Raises:
-        ModelError: naming the file: not of this format, of a newer version, or without a valid
-            model.
+        ModelError: the file, which the error names, has another format or a newer version, or does
+            not contain a valid model.
         OSError: the file cannot be opened.
     """
     with opened_archive(path, "model") as (header, arrays):
@@ -324,7 +324,7 @@ def load_model(path: FilePath) -> SSP:
 
 
 def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:
-    """Return the names at some positions; ``what`` they name is for the error."""
+    """Return the names at given positions; ``what`` says what has these names, for the error."""
     if ((numbers < 0) | (numbers >= len(names))).any():
         raise ModelError(f"there are {what} without a name")
     return [names[k] for k in numbers.tolist()]
@@ -620,7 +620,7 @@ def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[
 _FINGERPRINT_VERSION = "ssp-lp model 1"
 
 _PIECE = 1 << 20
-"""Entries of an array converted at a time, so that large models need little memory."""
+"""Entries of an array that are hashed at a time, so that large models need little memory."""
 
 
 @explained

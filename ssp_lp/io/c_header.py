@@ -26,14 +26,14 @@ from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import as_lottery
 
 _NEVER = 1e308
-"""Finite number in place of an infinite total, which no episode reaches."""
+"""Number that stands for an infinite total in C: no episode reaches it."""
 
 _DRAWN = -3
-"""First of the codes for random decisions, which go downwards."""
+"""Greatest code of a random decision; codes are -3, -4, ... ."""
 
 _OTHERS = {"threshold": "double", "levels": "double", "share": "double", "offsets": "int",
            "ends": "unsigned char"}  # fmt: skip
-"""Types of the tables without codes."""
+"""C types of the tables that do not contain codes of decisions."""
 
 _KINDS = {"signed char": 127, "short": 32_767, "int": 2**31 - 1}
 

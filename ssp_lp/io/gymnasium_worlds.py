@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     import gymnasium
 
 END = "end"
-"""First part of ("end", state): the end in a state that only some steps terminate in."""
+"""First part of ("end", state), the end in a state in which only some steps terminate."""
 
 CostFunction = Callable[[Any, Any, Any, float], float]
 """``(state, action, next_state, reward) -> cost``."""
@@ -106,7 +106,7 @@ class EnvironmentSSP(SSP):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GridSSP(EnvironmentSSP):
-    """The model of an environment of coordinates, whose states are the cells of a grid."""
+    """The model of an environment whose state is coordinates; its states are cells of a grid."""
 
     world: ContinuousModel = field(kw_only=True)
     is_goal: Callable[[Any], bool] = field(kw_only=True)  # of a point in which it terminates
@@ -267,7 +267,7 @@ def _is_in_box(grid: Grid, point: tuple[float, ...]) -> bool:
 
 
 FAILED, OUTSIDE = "failed", "outside"
-"""Dead-ends of a continuous environment: it terminated elsewhere, or left the box."""
+"""Dead-ends of a continuous environment: it ended outside the goal, or left the box."""
 
 
 @explained
@@ -311,7 +311,7 @@ def continuous_from_gymnasium(
     kind = np.asarray(state).dtype
 
     def step(point: Coordinates, action: Hashable, noise: Coordinates) -> Any:
-        """Take a step from each of many points in turn; return points, costs and ends."""
+        """Take a step from each of many points, one by one; return points, costs and ends."""
         places = np.broadcast_arrays(*point)
         after = np.empty((len(places), *places[0].shape))
         paid, ends = np.ones(places[0].shape), np.zeros(places[0].shape, dtype=np.int64)
@@ -362,7 +362,7 @@ def _name_of(env: Any) -> str:
 
 
 class _Table(NamedTuple):
-    """Transitions of an environment as arrays; states that only outcomes mention come last."""
+    """Transitions of an environment as arrays; states that its table lacks come last."""
 
     states: list[Hashable]  # [states]
     listed: int  # number of states in the table

@@ -44,7 +44,7 @@ _WORDS: dict[Any, tuple[str, str]] = {
     Iterable: ("a list", "lists"),
     _Numbers: ("numbers", "numbers"),
 }
-"""Names of a type, singular and plural."""
+"""Words for a type in errors, singular and plural."""
 
 _MADE_BY = {
     "Frontier": "trace_frontier(problem)",
@@ -53,7 +53,7 @@ _MADE_BY = {
     "GymnasiumWorld": "from_gymnasium(env)",
     "OccupationMeasure": "problem.program().solve()",
 }
-"""Function or method that makes an object of each class of answers."""
+"""Name of a class of results -> call that makes an object of it, for errors."""
 
 _FITS: dict[Any, Callable[[Any], bool]] = {
     Any: lambda value: True,
@@ -72,7 +72,7 @@ _FITS: dict[Any, Callable[[Any], bool]] = {
     ),
     _Numbers: lambda value: value is not None and _goes_into(np.asarray, value, np.float64),
 }
-"""Tests of a value for a type: a list serves as a tuple, numpy's numbers as Python's."""
+"""Type -> test of a value; a list is accepted as a tuple, numpy's numbers as Python's."""
 
 
 def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:

@@ -29,10 +29,10 @@ from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP
 
 USEFUL_COUNT = 1_000
-"""Number of observations of a pair for narrow boxes: about 0.05 to each side at 95 %."""
+"""Observations of a pair that give an interval of about +- 0.05 at confidence 95 %."""
 
 FORCED = 1e-12
-"""Least narrowing of an interval by the others that counts; less is due to rounding of sums."""
+"""Differences of probabilities up to this one are attributed to the rounding of sums."""
 
 
 @explained_class

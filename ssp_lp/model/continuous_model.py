@@ -144,7 +144,7 @@ class Grid:
         """Return the position of each cell along each axis; :class:`ModelError` if unknown."""
         given = np.asarray(cells)
         if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
-            raise ModelError(f"cells are 0 .. {self.n_cells - 1}; goal and dead-ends are not cells")
+            raise ModelError(f"cells are whole numbers 0 .. {self.n_cells - 1}; ends are no cells")
         return np.unravel_index(given, self.shape)
 
     @explained
@@ -201,10 +201,12 @@ class Grid:
         return missed
 
     def numbers_about(self, heights: Coordinates, *, split: bool = True) -> list[IntArray]:
-        """Return the cells of each point, in one array or, where edges are split, in 2, 4, ... .
+        """Return arrays of cells, one cell of each point in each array.
 
-        A point on an edge of an axis with ``split_edges`` counts equally in the cells on both
-        sides: each array holds one of them. On other edges a point belongs to the upper cell.
+        There is one array unless points lie on an edge of an axis with ``split_edges``. Then there
+        are two, for the lower and the upper cell at the edge (4, 8, ... with several such axes): a
+        point on the edge counts half in each cell, and other points have equal cells in both. On
+        an edge of another axis a point belongs to the upper cell.
         """
         parts: list[list[IntArray]] = []
         for axis, stride, values in zip(self.axes, self.strides, heights, strict=True):
@@ -248,7 +250,7 @@ class Distribution(ReadOnlyCopies):
     @classmethod
     @explained
     def uniform(cls, low: float, high: float) -> Distribution:
-        """Return uniform noise on an interval; :class:`ModelError` unless low <= high, finite."""
+        """Return uniform noise on an interval; :class:`ModelError` for a wrong interval."""
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
             raise ModelError(f"a uniform distribution needs low <= high, not {low!r}, {high!r}")
         return cls(partial(_between, float(low), float(high)))
@@ -259,7 +261,8 @@ class Distribution(ReadOnlyCopies):
         """Return noise with finitely many values, [atoms], and probabilities, [atoms].
 
         Raises:
-            ModelError: other shapes, a value that is not finite, or no probabilities.
+            ModelError: arrays of different shapes, a value that is not finite, or probabilities
+                that are negative or do not sum to 1.
         """
         atoms = np.asarray(values, dtype=np.float64)
         chance = np.asarray(probabilities, dtype=np.float64)
@@ -414,7 +417,7 @@ class ContinuousModel:
 
     @explained
     def end_state(self, end: str | int) -> int:
-        """Return the state of an end: "goal", a dead-end's label, or its number.
+        """Return the state that stands for an end: "goal", a dead-end's label, or its number.
 
         Raises:
             ModelError: no such end exists.
@@ -561,7 +564,7 @@ class WorldSimulator:
             )
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
-        """Draw starts: coordinates, [episodes, axes], and cells, [episodes].
+        """Draw the starts of episodes: coordinates, [episodes, axes], and their cells, [episodes].
 
         Raises:
             ModelError: a start outside the box.

@@ -445,7 +445,7 @@ def end_marks(model: SSP) -> IntArray:
 
 
 def stop_marks(model: SSP) -> IntArray:
-    """Return the number of the end of a run in which the policy stops in each state, [states].
+    """Return the number of the end of a run that the policy stops in a state, [states].
 
     The numbers are those of :func:`end_marks`; k + 2 is having given up.
     """

@@ -31,10 +31,10 @@ from ssp_lp.model.ssp import SSP, UNEXPLORED, FlatModel, ImplicitSSP
 from ssp_lp.model.state_rows import Outcomes, joined_outcomes
 
 BEYOND, LOST = "(a goal beyond)", "(lost beyond)"
-"""States of the explored part in which the ways out of its fringe end."""
+"""Added states of the explored part, in which the actions of its fringe end."""
 
 ARRIVE, FAIL = "(arrive)", "(fail)"
-"""Actions of states that are not expanded, and of those that may be dead-ends."""
+"""Added actions: both in states of the fringe, the second where a dead-end is possible."""
 
 
 _NO_BOUNDS: Mapping[str, float] = {}
@@ -45,16 +45,17 @@ _NOTHING: Any = None  # until the arrays of the model have been checked
 class ExploredSSP(SSP):
     """The explored part of an implicit model.
 
-    Its states are, in this order: expanded states, the fringe, goals, and the two ends.
+    Its states are, in this order: the expanded states, the fringe, the goals, and two added states
+    in which the actions "arrive" (a goal) and "fail" of the fringe end.
     """
 
     whole: ImplicitSSP = field(kw_only=True, default=_NOTHING)
     n_expanded: int = field(kw_only=True, default=0)
     n_live: int = field(kw_only=True, default=0)  # expanded states and the fringe, which come first
     numbers: IntArray = field(kw_only=True, default=_NOTHING)
-    """States in the order of finding, [expanded states, fringe, goals]."""
+    """Number (in the order of finding) of each expanded state, fringe state and goal."""
     may_end: BoolArray = field(kw_only=True, default=_NOTHING)
-    """Expanded states with a further way "fail": they reach the goal through the fringe only."""
+    """Mask of expanded states with the added action "fail"; see :meth:`Exploration.part`."""
     least_cost: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] cost bounds
     least_failure: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] failure bounds
 
@@ -65,7 +66,7 @@ class ExploredSSP(SSP):
         return np.asarray((place >= self.n_expanded) & (place < self.n_live))
 
     def hint(self, state: Hashable) -> str:
-        """Return a clause for errors: an unknown state may not have been explored."""
+        """Return a hint for errors: an unknown state may not have been explored."""
         return f", or was not explored{super().hint(state)}"
 
     def explored(self) -> SSP:
@@ -209,7 +210,7 @@ class Exploration:
         return list(answers.tolist())
 
     def _append_many(self, numbers: list[int]) -> None:
-        """Append the actions of states to the model, by one call of the successor function."""
+        """Append the actions of several states, by one call of a vectorised successor function."""
         flat = self.flat
         states = np.array([flat.states[k] for k in numbers], dtype=np.int64)
         told = {k: np.asarray(v) for k, v in self.whole.expand(states).items()}

@@ -49,12 +49,12 @@ Label = tuple[Hashable, Hashable]
 
 
 def _always_in_product(memory: Any) -> bool:
-    """Accept every memory of a product."""
+    """Return True: by default reaching a goal is a success with every memory."""
     return True
 
 
 def _never_in_product(memory: Any) -> bool:
-    """Fail with no memory of a product."""
+    """Return False: by default an episode fails with no memory."""
     return False
 
 
@@ -92,7 +92,7 @@ class Memory:
 
 @dataclass(frozen=True)
 class ProductStates(Sequence[Label]):
-    """The states (state, memory) of a product, as a sequence that makes them on access."""
+    """The states (state, memory) of a product: a sequence that makes each tuple on access."""
 
     names: Sequence[Hashable]  # the original's states
     memories: tuple[Hashable, ...]
@@ -284,7 +284,7 @@ class ProductSSP(SSP):
         return read_only(table)
 
     def find(self, state: Hashable) -> int | None:
-        """Return the index of the product's state (state, memory), or None."""
+        """Return the index of a state (state, memory); None if the product does not have it."""
         if not (isinstance(state, tuple) and len(state) == 2):
             return None
         here = self.original.find(state[0])
@@ -476,10 +476,10 @@ def labels_in_product(
 
 
 def check_product(model: SSP) -> ProductSSP:
-    """Return the model if it is a product.
+    """Return the model, checked to be a product.
 
     Raises:
-        ModelError: it is not.
+        ModelError: it is another model.
     """
     if not isinstance(model, ProductSSP):
         raise ModelError("the policy's model is not a product: make one by product(model, memory)")

@@ -135,7 +135,7 @@ class Report:
 
     @abstractmethod
     def tables(self) -> Sequence[Table]:
-        """Return the tables of the result, each declared once."""
+        """Return the tables of the result; all other forms are made from them."""
 
     def summary(self) -> str:
         """Return the text of all tables."""

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from ssp_lp.model.failure_product import FailureSSP
 
 Costs = float | Mapping[str, float]
-"""Cost of an outcome: a number, or numbers by name, of which the model counts one."""
+"""Cost of an outcome: a number, or numbers by name, one of which is the model's own cost."""
 
 Outcomes = Iterable[tuple[float, Hashable, Costs]]
 
@@ -93,12 +93,12 @@ class SSP(Graph, ReadOnlyCopies):
     state_labels: Mapping[str, IntArray]  # label -> state indices; for reports only
     exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
     named_costs: Mapping[str, FloatArray] = field(kw_only=True, default_factory=dict)
-    """Costs by name, [outcomes] each, ``costs`` among them if it has a name, for
-    ``secondary_cost("fuel")``."""
+    """Costs by name, [outcomes] each, for ``secondary_cost("fuel")``; with ``costs``, if that has a
+    name."""
     counts: FloatArray | None = field(kw_only=True, default=None)
     """Count of each outcome, [outcomes]; None: the model was not made of counts."""
     parameters: Mapping[str, PlacedParameter] = field(kw_only=True, default_factory=dict)
-    """Parameters of the expressions for probabilities and costs, by name."""
+    """Parameters on which probabilities and costs depend, by name."""
 
     @classmethod
     @explained
@@ -907,7 +907,7 @@ class ImplicitSSP(SSP):
 
     @property
     def assumption(self) -> str:
-        """Assumption on which every answer rests, in words; empty without bounds."""
+        """Assumption behind every solution, that the given bounds hold, in words; "": no bounds."""
         words = ("no policy reaches the goal for less than cost_bound, given that it does",
                  "no policy fails less than failure_bound")  # fmt: skip
         given = zip(words, self.bounds, strict=True)
@@ -1096,7 +1096,7 @@ def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> floa
 
 
 def _rows_of(table: Any, names: Iterable[str | Sequence[str]]) -> Iterator[tuple[Any, ...]]:
-    """Return the rows of some columns of a table, with a tuple for several columns named together.
+    """Return the rows of some columns of a table; several columns named together make a tuple.
 
     Raises:
         ModelError: a column does not exist or has another length, or a cell is empty.
@@ -1108,7 +1108,7 @@ def _rows_of(table: Any, names: Iterable[str | Sequence[str]]) -> Iterator[tuple
 
 
 def _column(table: Any, name: str | Sequence[str]) -> list[Any]:
-    """Return a column of a table as values of Python; for several columns, as tuples.
+    """Return a column of a table as Python objects; several columns are joined to tuples.
 
     Raises:
         ModelError: the column does not exist, or a cell is empty.
@@ -1203,11 +1203,11 @@ def _refuse_outcomes(model: SSP, broken: BoolArray, complaint: str) -> None:
 
 
 def _checked_probabilities(model: SSP, normalise: bool = False) -> FloatArray:
-    """Check a model's probabilities and costs; return the probabilities with sums 1, [outcomes].
+    """Check a model's probabilities and costs; return probabilities that sum to 1, [outcomes].
 
     Args:
         model: the model.
-        normalise: correct deviations of the sums up to 1e-5 (single precision), not 1e-9.
+        normalise: accept sums that differ from 1 by up to 1e-5 (single precision), not 1e-9.
 
     Raises:
         ModelError: a number that is not finite and >= 0, a pair without outcomes, or one whose
@@ -1236,7 +1236,7 @@ def _checked_probabilities(model: SSP, normalise: bool = False) -> FloatArray:
 
 
 def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
-    """Return indices in a model in their own integer type; :class:`ModelError` for other types."""
+    """Return an array of indices as int32 or int64; :class:`ModelError` for other types."""
     array = np.asarray(indices)
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise ModelError(f"{name} must be integers (indices)")
@@ -1267,11 +1267,11 @@ def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) 
 
     Args:
         model: the model.
-        dead_ends: the states that may lack pairs, and from which no action may reach the goal.
-        accept: without ``dead_ends``, all states may lack pairs.
+        dead_ends: states that must not reach the goal; only they and goals may lack pairs.
+        accept: if ``dead_ends`` is None, accept all states without pairs.
 
     Raises:
-        ModelError: naming the state and the remedy.
+        ModelError: the error names the wrong state and the remedy.
     """
     acting = np.diff(model.pair_offsets) > 0
     wrong, idle = model.goal_mask & acting, ~(acting | model.goal_mask)
@@ -1355,7 +1355,7 @@ _NO_DIGITS = str.maketrans("", "", "0123456789")
 def _with_a_letter_less(name: Any, least: int = 4) -> set[str]:
     """Return a state's name, and all names with one of its letters left out.
 
-    The set is empty for other types than text, and for names too short to be compared.
+    The set is empty for a name that is not text, or that is too short to be compared.
     """
     if not isinstance(name, str) or len(name) < least:
         return set()

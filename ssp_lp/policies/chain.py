@@ -83,7 +83,7 @@ class Chain:
 
     @cached_property
     def matrix(self) -> sp.csr_array:
-        """Transition matrix of the policy's chain, [nodes, nodes]; goals and dead-ends: empty."""
+        """Transition matrix of the chain, [nodes, nodes]; rows of goals and dead-ends are empty."""
         n = self.n_nodes
         return sp.csr_array((self.probability, (self.source, self.target)), shape=(n, n))
 
@@ -196,7 +196,7 @@ def reached_table(
     Args:
         policy: the lottery.
         start: distribution over states, [states].
-        most_nodes: greatest size of a member's chain.
+        most_nodes: greatest number of nodes of a member's chain.
 
     Raises:
         ModelError: a member is of a class with unknown memory, or has no decision in a state that

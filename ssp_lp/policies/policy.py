@@ -72,7 +72,7 @@ UNDECIDED: Final = -2
 _BY_EPISODE = ": play an episode, episode = policy.start(seed=0), and ask episode.action(state)"
 
 MOST_EPISODES: Final = 100_000_000
-"""Greatest number of episodes played side by side: about ten gigabytes."""
+"""Greatest number of episodes played side by side; they need about ten gigabytes."""
 
 Step = tuple[IntArray, IntArray, FloatArray]
 """Steps of episodes: pairs of the model, successors and costs, [episodes] each."""
@@ -245,7 +245,7 @@ class _Playable(Report, ReadOnlyCopies, ABC):
 
 
 class Policy(_Playable):
-    """A policy with a finite memory or none, which starts, decides and remembers.
+    """Base class of policies, with a finite memory or none.
 
     Its methods work on many episodes at once. The memory is an integer, which only the policy
     interprets. By default a policy has no memory.
@@ -278,7 +278,7 @@ class Policy(_Playable):
 
     @property
     def weighted(self) -> tuple[tuple[float, Policy], ...]:
-        """The policy itself."""
+        """The policy as a lottery with a single member."""
         return ((1.0, self),)
 
     def memories(self) -> list[tuple[int, Hashable]]:
@@ -522,7 +522,7 @@ class EpisodeBatch:
         self._is_observed = True
 
     def begin(self, states: IntArray, going: BoolArray) -> None:
-        """Set the policies' memories of the episodes that do not end where they start."""
+        """Set the initial memories of the episodes ``going``; others end where they start."""
         for member, mine in self.shares(begun := np.flatnonzero(going)):
             self.memory[begun[mine]] = member.start_memory(states[begun[mine]])
 
@@ -559,7 +559,7 @@ class EpisodeBatch:
         return np.asarray(np.all([member.ended for member in self._members], axis=0))
 
     def _indices(self, states: Sequence[Hashable]) -> IntArray:
-        """Return the positions of the states of a batch's episodes."""
+        """Return the index of each episode's state from its label, [episodes]."""
         if len(states) != len(self._drawn):
             raise ModelError(f"{len(states)} states given for {len(self._drawn)} episodes")
         return np.array([self.model.index_of(state) for state in states], dtype=np.int64)
@@ -579,9 +579,9 @@ class Episode:
     def action(self, state: Hashable) -> Hashable:
         """Return the policy's action in this state; :data:`GIVE_UP` or None once it is over.
 
-        An episode is over after giving up, or at a goal or a dead-end, unless the policy has
-        decisions after failing, as it does if its problem counts quantities then. ``failed`` is
-        True once the goal is given up.
+        An episode is over after giving up, at a goal, or at a dead-end. If its problem counts
+        quantities after failing, the policy has decisions after failing and the episode goes on.
+        ``failed`` is True once the goal is given up.
 
         Raises:
             ModelError: the state is unknown, is not the observed one, or has no decision.
@@ -607,7 +607,7 @@ class Episode:
 
     @property
     def failed(self) -> bool:
-        """Whether the policy's episode has lost the goal or given up, by its last action."""
+        """Whether the goal was lost or given up before or by the last action."""
         return bool(self._alone.failed[0])
 
 
@@ -680,8 +680,8 @@ def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = Fals
 
     Args:
         model: the model.
-        decision: [..., states].
-        as_positions: a decision is a position among the state's pairs.
+        decision: pair or code of each state, [..., states].
+        as_positions: pairs are given by their position among the pairs of their state.
     """
     low, high = model.pair_offsets[:-1], model.pair_offsets[1:]
     if as_positions:

@@ -520,7 +520,7 @@ class CompletePolicy(_Carried):
 
 
 Default = Hashable | Mapping[Hashable, Hashable] | DeterministicPolicy
-"""An action wherever it exists, ``{state: action}``, or the decisions of a policy."""
+"""An action for all states that have it, ``{state: action}``, or a policy without memory."""
 
 
 @explained

@@ -44,8 +44,8 @@ from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
 
 _BESIDE = LEAST_BUDGET
-"""Length of the step from the worst probabilities into the boxes, as a share of the whole way; it
-changes the failure probability by about as much."""
+"""Weight of a point inside the boxes, mixed with the worst probabilities to make all outcomes
+possible; the failure probability changes by about as much."""
 
 
 def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:

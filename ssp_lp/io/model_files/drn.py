@@ -31,8 +31,8 @@ _SECTIONS = {
     "@nr_states": _NUMBER,
     "@nr_choices": _NUMBER,
 }  # fmt: skip
-"""Pattern of the content of each section of the header, and the error otherwise; the content of the
-last four is on a line of its own."""
+"""Section of the header -> pattern of its content, and error for other content. The content of the
+last four sections is on a line of its own."""
 
 _LONGEST_LINE = 1 << 24  # characters
 _WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)  # of 64 bits
@@ -63,7 +63,7 @@ def read_drn(
         The model, whose states are the numbers of the file, and its initial states.
 
     Raises:
-        ModelError: naming the file and the line, or the state and the action.
+        ModelError: the model is not valid; the error names the line, or the state and the action.
         OSError: the file cannot be opened.
     """
     file = _DrnFile(Path(path))
@@ -74,8 +74,8 @@ def _sections_of(file: _DrnFile, lines: Iterator[str]) -> dict[str, str]:
     """Return the sections of a DRN file up to the line ``@model``, by name.
 
     Raises:
-        ModelError: naming the line: a section that is unknown, repeated or missing, or a model of
-            another type, with parameters or with intervals.
+        ModelError: a section is unknown, repeated or missing, or the model has another type,
+            parameters or intervals; the error names the line.
     """
     sections: dict[str, str] = {}
     for line in lines:
@@ -151,7 +151,7 @@ class _DrnFile:
         """Add a line of a state, an action or a transition.
 
         Raises:
-            ModelError: naming the line at fault.
+            ModelError: the line is wrong; the error names it.
         """
         if line[:1].isdigit():
             if not self.is_action or not self.is_action[-1]:
@@ -204,7 +204,7 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
     """Read the header of a DRN file, then its states, actions and transitions.
 
     Raises:
-        ModelError: naming the wrong line, or the missing cost.
+        ModelError: the error names the wrong line, or the missing cost.
     """
     lines = file.lines()
     header = _sections_of(file, lines)

@@ -246,7 +246,7 @@ def model_in_json(
 ) -> Iterator[str]:
     """Yield a complete model as a JSON text, a line for each state.
 
-    States and actions become words.
+    States and actions are written by name, as text.
 
     Args:
         model: the model.

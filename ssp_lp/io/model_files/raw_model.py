@@ -119,7 +119,7 @@ def write_tar(path: FilePath, files: Mapping[str, IO[bytes]], packing: str) -> N
 
 
 FIRST_COST = "*"
-"""Name of the first cost, for a model that is only inspected."""
+"""Value of ``cost`` that means the first cost, for a model that is only inspected."""
 
 
 def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int | None:
@@ -173,8 +173,8 @@ def costs_of_rewards(
 
 
 INITIAL, DEADLOCK, PAYING = "init", "deadlock", "paying"
-"""Labels with a meaning in files: initial states, dead-ends, and states between outcomes and their
-successors that pay the rest of a cost."""
+"""Labels with a meaning in files: initial states, dead-ends, and extra states that pay the rest of
+an outcome's cost."""
 
 PAY = "pay"
 """Action of the states that pay."""

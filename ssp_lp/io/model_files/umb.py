@@ -63,7 +63,8 @@ def read_umb(
         The model and its initial states.
 
     Raises:
-        ModelError: a model of another kind, or naming the file or the wrong state and action.
+        ModelError: the model is of another kind or not valid; the error names the file, or the
+            wrong state and action.
         OSError: the file cannot be read.
     """
     archive = UmbArchive(path)
