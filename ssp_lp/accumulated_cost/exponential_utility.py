@@ -80,10 +80,11 @@ def cost_horizon(
 ) -> float:
     """Return C_max of eGUBS: the accumulated cost from which a tail is optimal.
 
-    At (s, r) the tail is optimal if no pair is better: bonus * (P(s) - Q_P(s, a)) >= exp(rate * r)
-    * (Q_V(s, a) - V(s)) for all pairs, with the greatest goal probability P and the moment V of the
-    tail. Pairs that (nearly) preserve P satisfy it since V is optimal; each other pair satisfies it
-    from some r on.
+    In state s after cost r the tail is optimal if every pair (s, a) satisfies bonus * (P(s) -
+    Q_P(s, a)) >= exp(rate * r) * (Q_V(s, a) - V(s)). Here P is the greatest goal probability, V the
+    moment of the tail, and Q_P and Q_V are their values if a is taken once. Pairs that (nearly)
+    preserve P satisfy this at every r, since V is optimal. All other pairs satisfy it from some r
+    on.
 
     Args:
         model: the model.

@@ -375,8 +375,8 @@ class _Optimum:
     def by_probability(self) -> FloatArray:
         """Derivative by the probability of each outcome, [outcomes].
 
-        The numbers of a pair have an arbitrary constant in common, since its probabilities sum to
-        1.
+        The numbers of one pair are determined up to a common constant, since its probabilities sum
+        to 1.
         """
         column, outcome, _, worth = self.outcomes
         taken = self.measure.visits[column]

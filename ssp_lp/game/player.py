@@ -610,7 +610,7 @@ class BayesPlayer(Player):
 
     @cached_property
     def last_tail(self) -> tuple[IntArray, LayeredTails]:
-        """The policy that is followed beyond cap and horizon: its pairs, [nodes], and its values.
+        """Pairs, [nodes], and values of the policy that is followed beyond cap and horizon.
 
         In case S it is the policy that fails most under the discount: undiscounted MINPROB
         (``undiscounted_tail``) would need a much greater cap and horizon. In case M it is the
