@@ -218,9 +218,7 @@ def test_visits_that_no_policy_comes_to_keep_no_row(monkeypatch):
     del convex.constraints["often"]
     convex.objective = convex.objective - cp.sqrt(convex.visits("a", "round"))
     convex.constraints["seldom"] = convex.visits("a") <= 4.0
-    with pytest.raises(
-        SolverError, match="the objective's value is attained only by visits that"
-    ):
+    with pytest.raises(SolverError, match="the objective's value is attained only by visits that"):
         convex.solve(solver=cp.CLARABEL)
 
 
