@@ -124,7 +124,7 @@ def _answered(
     """
     if problem.unrolled is not problem:
         raise ModelError(
-            "a limit counts events after failing, where no state is explored: use "
+            "a limit counts events after failing, which are not explored: use "
             "give_up='dead_ends', or build the whole model, SSP.from_successors(...)"
         )
     try:
