@@ -434,7 +434,7 @@ def _check_command(asked: Asked) -> Iterable[str]:
     if asked["model"] is not None:
         problem = problem_of(command_model(asked))
     elif any(asked[name] for name in ("goal", "start", "limit")) or asked.keys() & PARAMETERS:
-        raise ModelError("to compare the certificate with a question, give --model as well")
+        raise ModelError("a question needs a model: give --model, or the file alone")
     checked = ssp_lp.check_certificate(file, problem=problem)
     if not checked.accepted:
         raise SolverError(f"{file} is refused: {checked.reason}")
