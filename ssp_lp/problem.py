@@ -380,7 +380,7 @@ def check_explorable(problem: Problem) -> None:
             raise ModelError(f"start: {state!r} is not a state in which {whole!r} may begin")
     name, more = type(problem).__name__, ": build the whole model, SSP.from_successors(...)"
     if problem.ratio or problem.semantics.counts_law:
-        raise ModelError(f"{name} needs a run's total cost, which implicit models lack{more}")
+        raise ModelError(f"{name} needs the total cost of a run, which implicit models lack{more}")
     if problem.horizon is not None:
         hint = ", or count the steps in its states"
         raise ModelError(Argument("horizon"), f" does not support an implicit model{more}{hint}")

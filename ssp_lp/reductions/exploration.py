@@ -125,7 +125,7 @@ def _answered(
     """
     if problem.unrolled is not problem:
         raise ModelError(
-            "a limit counts quantities after failing, which are not explored: use "
+            "a limit counts events after failing, which are not explored: use "
             "give_up='dead_ends', or build the whole model, SSP.from_successors(...)"
         )
     try:
