@@ -479,7 +479,7 @@ SLIPS = [
     ("Grid(None)", "Grid: axes must be a list of Axis, not None"),
     ("Axis('0', 1.0, 4)", "Axis: low must be a number, not '0'"),
     ("G.cell_of('x')", "Grid.cell_of: points must be numbers"),
-    ("G.centre(99)", "cells are 0 .. 3"),
+    ("G.centre(99)", "cells are whole numbers 0 .. 3"),
     ("ContinuousModel(None, [0], step)", "grid must be a Grid, not None"),
     ("ContinuousModel(G, 3, step)", "actions must be a list of hashable things, not 3"),
     ("ContinuousModel(G, [0], None)", "step must be a function of 3 arguments, not None"),
