@@ -50,6 +50,7 @@ from ssp_lp.verification.prove import Bounds, RefusedError, number
 
 _CAPS, _NARROW = 12, 1e-10  # number of caps to try, and the relative width that ends the trials
 _MOST_NODES = 2_000_000
+_BEYOND = 1.1  # factor of the rise of the cap that should suffice
 _STEEP = 1000.0  # price of failing with least failure, times 1 + |objective|
 _FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
@@ -496,7 +497,8 @@ def _best_proof(
 ) -> tuple[list[bytes], Bounds]:
     """Return the lines and the interval of the best proof of one program of a certificate.
 
-    The cap on total costs is doubled until the interval is narrow, or hardly gets narrower.
+    The cap on total costs is raised until the interval is narrow, or hardly gets narrower. It is
+    doubled first; afterwards its next value follows from the rate at which the width has fallen.
 
     Args:
         asked: the question of the program.
@@ -504,7 +506,8 @@ def _best_proof(
         solved: the solution, whose policies and prices start the search for a proof.
         step: name of the program: "least", "main", "late" or "from".
     """
-    cap, widths = _first_cap(asked, solved), [math.inf]
+    cap = more = _first_cap(asked, solved)
+    widths = [math.inf]
     for _ in range(_CAPS):
         nodes = Nodes(program_of(asked, statement, cap), len(statement.model))
         first = solved.policy.policies if step != "least" else ()
@@ -518,7 +521,10 @@ def _best_proof(
             break
         if nodes.size > _MOST_NODES // 2:
             break
-        cap *= 2
+        if len(widths) > 2:
+            ahead = math.log(widths[-1] / _NARROW) / math.log(widths[-2] / widths[-1])
+            more = min(max(more * Fraction(_BEYOND * ahead), cap / 8), 3 * cap)
+        cap += math.ceil(more)
     return best
 
 

@@ -526,6 +526,12 @@ def proof_of(
         member = nodes.member(nodes.last.__getitem__)
         is_new = (key := frozenset(member.decision.items())) not in members
         members[key] = member
+        paid = map(mul, [Fraction(1), *prices], member.totals)
+        attained = lower_bound(program, prices, math.floor(sum(paid) * ONE), most)
+        if lower is not None and attained is not None and lottery.weights:
+            worth = lottery.value + program.objective.constant
+            if attained >= worth - _LESS * (1 + abs(worth)):
+                break  # no policy improves the lottery: the rest of the width is the cap's
     if best is None or not lottery.weights:
         raise SolverError(_broken(rows, members.values(), lottery.prices))
     exact = best_lottery(totals, rows, ZERO, ratio=ratio)

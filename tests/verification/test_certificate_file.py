@@ -352,7 +352,7 @@ def test_the_command_line(tmp_path, capsys):
     assert main([*asked, "0.06"]) == 1
     assert "the file answers another question" in capsys.readouterr().err
     assert main(["check", str(path), "--failure-budget", "0.05"]) == 2
-    assert "give --model" in capsys.readouterr().err
+    assert "add --model" in capsys.readouterr().err
     path.write_bytes(gzip.compress(b"\n".join([*lines_of(path)[:-1], b""])))
     assert main(["check", str(path)]) == 1
     assert "is refused: the file ends within a proof" in capsys.readouterr().err
