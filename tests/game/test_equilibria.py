@@ -1,0 +1,293 @@
+"""Games of policies that are given by their costs alone: every quantity by hand or by search."""
+
+import numpy as np
+import pytest
+
+from formulations import MCMP, S3P, MinCost
+from games import RETRY, criteria, game_at, hand_problem, matrix_game_value
+from references.frontier import Point
+from refusing import refused
+from small_models import TWO_MOVES, model_of
+from ssp_lp import InfeasibleError, ModelError, SolverError
+from ssp_lp.compiled.deadline import until
+from ssp_lp.game import (
+    Equilibrium,
+    Game,
+    Mixture,
+    bayes_adaptive,
+    delta_mixture,
+    play,
+    player as players,
+    stationary_game,
+    stationary_player,
+)
+from ssp_lp.game.equilibrium import cheapest_crossing, crossing, unplayed_game
+from ssp_lp.game.optimum import (
+    _threshold_from_game_value,
+    cheapest_mixture,
+    extremes,
+    find_threshold,
+)
+from ssp_lp.game.player import BestResponse, horizon_of
+from ssp_lp.policies import TimedPolicy
+
+SAFE, RASH = BestResponse(3.0, 0.1, 0.0), BestResponse(1.0, 0.5, 0.0)
+RARE = BestResponse(4.0, -0.2, 0.0, origin=1.0)
+"""Counted from 1: it fails with 0.8."""
+
+
+def test_the_terms_of_a_payoff():
+    """Scale 8 = 2 / 0.25: alpha J_obj + (1 - alpha) 8 J_cond; the origin is left out."""
+    game = Game(2.0, 0.25)
+    assert game.scale == 8.0
+    assert game.payoff(0.75, SAFE) == pytest.approx(0.75 * 3.0 + 0.25 * 8.0 * 0.1)
+    assert game.payoff(0.75, RARE) == pytest.approx(0.75 * 4.0 - 0.25 * 8.0 * 0.2)
+    assert game.size(0.75, RARE) == pytest.approx(0.75 * 4.0 + 0.25 * 8.0 * 0.2)
+    assert game.excess(RARE) == pytest.approx(4.0 - 8.0 * 0.8)
+    assert (RARE.condition, RARE.success) == pytest.approx((0.8, 0.2))
+    assert RARE.ratio == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize("origin", [0.0, 1.0])
+@pytest.mark.parametrize("room", [None, "stated"])
+def test_whoever_uses_up_the_budget_owes_the_payoff_less_its_objective(origin, room):
+    """It is (1 - alpha) (eta / epsilon) J_cond at J_cond = epsilon, from either origin."""
+    stated = None if room is None else 0.25 - origin
+    game, spends = Game(2.0, 0.25, stated), BestResponse(3.0, 0.25 - origin, 0.0, origin=origin)
+    for alpha in (0.0, 0.3, 0.9, 1.0):
+        owed = game.payoff(alpha, spends) - alpha * spends.objective
+        assert game.owed(alpha, origin) == pytest.approx(owed, abs=1e-15)
+
+
+def test_a_room_of_more_digits_than_the_budget():
+    """1 - 1e-20 is 1 in double precision; the room of -1e-20 keeps what is owed."""
+    assert Game(3.0, 1.0, -1e-20).owed(0.5, 1.0) == pytest.approx(-1.5e-20, rel=1e-12)
+    assert Game(3.0, 1.0).owed(0.5, 1.0) == 0.0
+
+
+@pytest.mark.parametrize(("stake", "budget"), [(-1e-9, 0.5), (1.0, 0.0), (1.0, -0.5)])
+def test_games_that_there_are_not(stake, budget):
+    with pytest.raises(ModelError, match="a stake >= 0 and a budget above 0"):
+        Game(stake, budget)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.25, 1.0])
+def test_the_bounds_of_a_game_count_failing_from_0(alpha):
+    """Whatever the origin of the responses: alpha 4 + (1 - alpha) 8 * 0.8, less 1 below."""
+    game = Game(2.0, 0.25)
+    counted = game.payoff(alpha, RARE)
+    found = Equilibrium(game, RARE, RARE, alpha, counted - 1.0, (RARE,))
+    assert found.upper == pytest.approx(alpha * 4.0 + (1.0 - alpha) * 8.0 * 0.8)
+    assert found.lower == pytest.approx(found.upper - 1.0)
+    above = Equilibrium(game, RARE, RARE, alpha, counted + 1.0, (RARE,))
+    assert above.lower == above.upper  # a bound above what is attained is rounding
+    price = np.inf if alpha == 0.0 else 8.0 * (1.0 - alpha) / alpha
+    assert found.failure_price == pytest.approx(price)
+
+
+def test_lines_cross_where_both_policies_pay_alike():
+    """3 a + 0.8 (1 - a) = a + 4 (1 - a) at a = 3.2 / 5.2; one line above the other: at an end."""
+    game = Game(2.0, 0.25)
+    alpha = crossing(game, SAFE, RASH)
+    assert alpha == pytest.approx(3.2 / 5.2)
+    assert game.payoff(alpha, SAFE) == pytest.approx(game.payoff(alpha, RASH))
+    near = BestResponse(3.0 - 1e-12, 0.1 - 1e-14, 0.0)
+    assert 0.0 <= crossing(game, SAFE, near) <= 1.0
+    assert crossing(game, SAFE, BestResponse(1.0, 0.1, 0.0)) == 0.0
+    assert crossing(game, SAFE, BestResponse(3.0, 0.5, 0.0)) == 1.0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_mixture_of_two_policies_is_that_of_the_matrix_game(seed):
+    """Its worst payoff is least among the lotteries over the two, also where one is enough."""
+    rng = np.random.default_rng(seed)
+    game = Game(float(rng.uniform(0.5, 3.0)), float(rng.uniform(0.1, 0.9)))
+    both = [BestResponse(float(c), float(f), 0.0) for c, f in rng.uniform(0.0, 2.0, (2, 2))]
+    lottery = Mixture(game, *both)
+    known = matrix_game_value([Point(r.failing, r.objective) for r in both], game)
+    assert lottery.value == pytest.approx(known, rel=1e-9)
+    weights = np.linspace(0.0, 1.0, 101)
+    costs = np.outer(1.0 - weights, [both[0].objective, both[0].condition])
+    costs += np.outer(weights, [both[1].objective, both[1].condition])
+    assert lottery.value <= np.maximum(costs[:, 0], game.scale * costs[:, 1]).min() + 1e-12
+    assert lottery.value == max(lottery.objective, game.scale * lottery.condition)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_cheapest_lottery_within_a_budget(seed):
+    """Beside a search over all pairs; a policy alone where no lottery is cheaper."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0.0, 1.0, (6, 2)).tolist()
+    responses = [BestResponse(c, f, 0.0) for c, f in points]
+    room = sorted(f for _, f in points)[seed % 6]
+    members, weights, cost = cheapest_mixture(responses, room)
+    safe, risky = ([p for p in points if (p[1] <= room) is side] for side in (True, False))
+    lotteries = [
+        ((g - room) * c + (room - f) * d) / (g - f) for c, f in safe for d, g in risky
+    ]  # fmt: skip
+    assert cost == pytest.approx(min([c for c, _ in safe] + lotteries), rel=1e-12)
+    assert sum(weights) == pytest.approx(1.0)
+    assert min(weights) > 0.0
+    assert sum(w * r.objective for w, r in zip(weights, members, strict=True)) == pytest.approx(
+        cost
+    )
+    assert sum(w * r.failing for w, r in zip(weights, members, strict=True)) <= room + 1e-15
+    if risky:
+        left, right = [[BestResponse(c, f, 0.0) for c, f in side] for side in (safe, risky)]
+        one, other, share, pays = cheapest_crossing(left, right, lambda r: r.failing - room)
+        assert pays == pytest.approx(min(lotteries), rel=1e-12)
+        assert (1.0 - share) * one.failing + share * other.failing == pytest.approx(room)
+
+
+# Searches that end before a game is played.
+
+
+def test_without_a_game_nothing_is_proved_and_the_best_lottery_is_kept():
+    """Three policies are known; the two whose lines cross highest below stand for the game."""
+    game, dear = Game(2.0, 0.25), BestResponse(9.0, 0.0, 0.0)
+    found = unplayed_game(game, [dear, RASH, SAFE])
+    assert found.least == found.lower == -np.inf
+    assert (found.minus, found.plus) == (SAFE, RASH)
+    assert found.alpha == crossing(game, SAFE, RASH)
+    assert found.upper == pytest.approx(matrix_game_value(
+        [Point(r.failing, r.objective) for r in (dear, RASH, SAFE)], game))  # fmt: skip
+    for alone in (SAFE, RASH):
+        one = unplayed_game(game, [alone])
+        assert (one.minus, one.plus, one.alpha, one.failure_price) == (alone, alone, 1.0, 0.0)
+        assert one.upper == alone.objective
+    assert _threshold_from_game_value(found) == -np.inf
+
+
+def test_an_adversary_of_failing_alone_proves_nothing_of_the_cost():
+    """At alpha = 0 the payoff is independent of J_obj, and any c >= 0 may be the least."""
+    found = Equilibrium(Game(2.0, 0.25), SAFE, SAFE, 0.0, 0.8, (SAFE,))
+    assert _threshold_from_game_value(found) == 0.0
+
+
+@criteria
+@pytest.mark.parametrize("budget", [0.3, 1.0])
+def test_a_deadline_that_has_passed_leaves_known_policies_and_no_bound(criterion, budget):
+    """RETRY: the cheapest lottery of the extremes within the budget, which is the optimum here."""
+    problem = hand_problem(criterion, RETRY, budget, 0.95)
+    player, share = stationary_player(problem), 1.0 - budget if criterion is S3P else 1.0
+    known = extremes(player, 1e-10)
+    exact = find_threshold(player, budget, share or 1.0, known, tolerance=1e-9)
+    with until(0.0):
+        hasty = find_threshold(player, budget, share or 1.0, known, tolerance=1e-9)
+    assert exact.in_time
+    assert not hasty.in_time
+    assert (hasty.games, hasty.low) == (1, 0.0)
+    assert hasty.high >= exact.high * (1 - 1e-12)
+    assert hasty.condition <= budget + 1e-12
+
+
+def test_a_distance_from_alpha_is_above_0():
+    problem = hand_problem(MCMP, TWO_MOVES, 0.5, 0.99)
+    player, game = stationary_player(problem), game_at(problem, 2.0)
+    for delta in (0.0, -0.1, float("nan")):
+        refused("delta must be above 0", delta_mixture, player, game, 0.5, delta)
+
+
+def test_a_policy_that_is_best_against_both_is_played_alone():
+    """alpha* = 1: the two sides are one policy, whose lottery has one member."""
+    problem = hand_problem(MCMP, TWO_MOVES, 0.5, 0.99)
+    player = stationary_player(problem)
+    found = play(player, game_at(problem, 2.0))
+    assert found.minus is found.plus
+    assert len(found.policy(player).policies) == 1
+
+
+# What the game does not answer is refused, and with the remedy.
+
+
+@pytest.mark.parametrize("game", [stationary_game, bayes_adaptive])
+def test_problems_without_a_game(game):
+    model = model_of(TWO_MOVES)
+    for problem, words in (
+        (MinCost(model_of(RETRY), "x"), "supports costs with a failure budget, not MinCost"),
+        (MCMP(model, "x", 0.5), "the game needs a discount"),
+        (MCMP(model, "x", 0.0, discount=0.9), "needs failure_budget above 0, not 0.0"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            game(problem)
+
+
+def test_a_goal_out_of_reach_is_named():
+    """From the dead-end itself; and where its discounted probability is 0 in double precision."""
+    model = model_of({"x": {"on": [(1.0, "y", 1)]}, "y": {"on": [(1.0, "g", 1)]}, "d": {}})
+    with pytest.raises(InfeasibleError, match=r"fails surely, above the budget 0\.5"):
+        stationary_game(MCMP(model, "d", 0.5, discount=0.9))
+    with pytest.raises(InfeasibleError):
+        stationary_player(S3P(model, "d", 0.5, discount=0.9))
+    with pytest.raises(SolverError, match=r"a \(discounted\) probability of at most 0.0e\+00"):
+        stationary_game(S3P(model, "x", 1.0, discount=1e-200))
+
+
+def test_totals_that_are_too_many_are_refused(monkeypatch):
+    """Layers of whole costs, and sums of costs without a unit."""
+    whole = {"x": {"go": [(0.5, "g", 1), (0.5, "x", 1)]}}
+    odd = {"x": {"go": [(0.4, "g", 1), (0.3, "x", 1), (0.3, "x", 2.0**0.5)]}}
+    for choices in (whole, odd):
+        problem = hand_problem(S3P, choices, 0.9, 0.99)
+        assert stationary_player(problem).totals(8.0).size >= 8
+        with monkeypatch.context() as small:
+            small.setattr(players, "_MOST_LAYERS", 7)
+            with pytest.raises(ModelError, match="the totals below 8 are too many for the game"):
+                stationary_player(problem).totals(8.0)
+
+
+def test_what_a_solution_shows():
+    found = stationary_game(hand_problem(MCMP, TWO_MOVES, 0.03, 0.99))
+    shown = found.summary()
+    for word, number in (
+        ("c*", found.objective), ("lower bound", found.lower_bound), ("alpha*", found.alpha),
+        ("price", found.price), ("epsilon*", 0.03),
+    ):  # fmt: skip
+        line = next(line for line in shown.splitlines() if line.strip().startswith(word))
+        assert float(line.split()[-1]) == pytest.approx(number, rel=1e-5)
+
+
+# Best responses.
+
+
+def test_a_horizon_is_long_enough_and_no_longer():
+    """gamma^N w <= error, from the first such N, but for one."""
+    assert horizon_of(0.5, 1.0, 1.0) == horizon_of(0.5, 0.25, 0.5) == 1
+    for gamma, weight, error in ((0.5, 1.0, 1e-3), (0.9, 7.0, 1e-6), (0.99, 1e3, 1e-9)):
+        steps = horizon_of(gamma, weight, error)
+        assert weight * gamma**steps <= error < weight * gamma ** (steps - 2)
+
+
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-12, 0.0])
+def test_value_iteration_ends_with_two_bounds_at_any_accuracy(accuracy):
+    """RETRY by hand: J_obj + 10 J_cond of the better action; none is as accurate as 0."""
+    gamma, price = 0.95, 10.0
+    player = stationary_player(hand_problem(MCMP, RETRY, 0.5, gamma))
+    exact = min(
+        (1.0 + (1 - goal - stay) * gamma + price * (1 - gamma + gamma * (1 - goal - stay)))
+        / (1 - gamma * stay)
+        for goal, stay in ((0.5, 0.3), (0.25, 0.74))
+    )
+    found = player.values_of(np.array([1.0, price]), player.base.start, accuracy)
+    assert found.values[0] <= exact * (1 + 1e-15)
+    assert found.values[0] == pytest.approx(exact, rel=max(accuracy, 1e-11))
+    assert found.totals[0] @ [1.0, price] == pytest.approx(exact, rel=1e-12)
+
+
+def test_decisions_change_with_time_only_where_they_differ():
+    """One stage for all times where nothing is worth remembering; else as many as decisions."""
+    problem = hand_problem(MCMP, TWO_MOVES, 0.5, 0.99)
+    found = bayes_adaptive(problem)
+    (alone,) = found.policy.policies
+    if isinstance(alone, TimedPolicy):
+        assert len({id(stage) for stage in alone.stages}) == 1
+
+
+@criteria
+def test_extremes_fail_least_and_cost_least(criterion):
+    """RETRY: ``care`` fails less and ``rush`` costs less; undiscounted goal 0.25 / 0.26."""
+    problem = hand_problem(criterion, RETRY, 0.5, 0.95)
+    safest, cheapest = extremes(stationary_player(problem), 1e-10)
+    care, rush = (0.95 * goal / (1 - 0.95 * stay) for goal, stay in ((0.25, 0.74), (0.5, 0.3)))
+    assert safest.condition == pytest.approx(1.0 - max(care, rush), rel=1e-12)
+    assert cheapest.objective <= safest.objective
