@@ -1,11 +1,13 @@
 """Games of policies that are given by their costs alone: every quantity by hand or by search."""
 
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 import pytest
 
 from formulations import MCMP, S3P, MinCost
-from games import RETRY, criteria, game_at, hand_problem, matrix_game_value
-from references.frontier import Point
+from games import RETRY, criteria, game_at, hand_problem, matrix_game_value, max_min
+from references.frontier import Point, constrained_optimum, constrained_ratio
 from refusing import refused
 from small_models import TWO_MOVES, model_of
 from ssp_lp import InfeasibleError, ModelError, SolverError
@@ -16,6 +18,7 @@ from ssp_lp.game import (
     Mixture,
     bayes_adaptive,
     delta_mixture,
+    optimum as games,
     play,
     player as players,
     stationary_game,
@@ -26,6 +29,7 @@ from ssp_lp.game.optimum import (
     _threshold_from_game_value,
     cheapest_mixture,
     extremes,
+    find_optimum,
     find_threshold,
 )
 from ssp_lp.game.player import BestResponse, horizon_of
@@ -291,3 +295,188 @@ def test_extremes_fail_least_and_cost_least(criterion):
     care, rush = (0.95 * goal / (1 - 0.95 * stay) for goal, stay in ((0.25, 0.74), (0.5, 0.3)))
     assert safest.condition == pytest.approx(1.0 - max(care, rush), rel=1e-12)
     assert cheapest.objective <= safest.objective
+
+
+# A player of listed policies: whatever the search does, its bounds hold and meet.
+
+
+@dataclass(frozen=True)
+class Listed:
+    """Policies by their costs; every bound is too low by this share of the payoff's size."""
+
+    points: tuple[Point, ...]
+    origin: float = 0.0
+    slack: float = 0.0
+    tail: float | None = None
+
+    def response(self, objective_weight, condition_weight, accuracy):
+        """Return the policy of least payoff."""
+        each = [BestResponse(c, f - self.origin, 0.0, origin=self.origin) for f, c in self.points]
+        best = min(each, key=lambda r: r.payoff(objective_weight, condition_weight))
+        least = best.payoff(objective_weight, condition_weight)
+        size = best.size(objective_weight, condition_weight)
+        return replace(best, bound=least - self.slack * size, sweeps=1)
+
+    def surplus(self, price, accuracy):
+        """Bound J_obj - price * (1 - J_cond)."""
+        least = min(c - price * (1.0 - f) for f, c in self.points)
+        return least - self.slack * price
+
+
+def convex(rng, count=8):
+    """Points of which each fails more and costs less than the one before."""
+    failures = np.sort(rng.uniform(0.05, 0.9, count)).tolist()
+    return tuple(Point(f, 5.0 * (1.0 - f) ** 2 + 0.2) for f in failures)
+
+
+@pytest.mark.parametrize("origin", [0.0, 1.0])
+@pytest.mark.parametrize("seed", range(8))
+def test_the_least_c_of_listed_policies(seed, origin, monkeypatch):
+    """By search over all lotteries; games alternate between the upper end and the midpoint.
+
+    The last one is played at the optimum, where its value is the stake (eq. def_c*).
+    """
+    rng, stakes, told = np.random.default_rng(seed), [], []
+    points = convex(rng) if seed % 2 else tuple(map(Point, *rng.uniform(0.1, 0.9, (2, 9)).tolist()))
+    player, budget = Listed(points, origin), float(rng.uniform(0.3, 0.8))
+    budget = max(budget, min(f for f, _ in points) + 0.01)
+    known = extremes(player, 1e-10)
+    first = cheapest_mixture(known, budget - origin)[2]
+    monkeypatch.setattr(games, "play", lambda *a, **k: stakes.append(a[1].stake) or play(*a, **k))
+    for share in (1.0, 1.0 - budget):
+        stakes.clear(), told.clear()
+        found = find_threshold(
+            player, budget, share, known, tolerance=1e-9, progress=lambda *at: told.append(at)
+        )
+        best = constrained_optimum(points, budget) / share
+        assert found.high == pytest.approx(best, rel=1e-10)
+        assert best * (1 - 1e-9) <= found.low <= found.high
+        assert found.condition <= budget + 1e-12
+        assert found.in_time
+        assert found.games == len(stakes) == len(told) <= 5
+        assert stakes[0] == pytest.approx(first, rel=1e-12)
+        assert stakes[-1] == share * found.high
+        played = found.game
+        assert played.upper == pytest.approx(share * found.high, rel=1e-9)
+        assert [high for *_, high in told] == sorted((high for *_, high in told), reverse=True)
+        assert told[-1] == (len(played.responses), found.failure_price, found.high)
+        value = max_min(points, Game(share * found.high, budget))
+        assert played.lower <= value * (1 + 1e-9)
+        assert value <= played.upper * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("slack", [1e-3, 1e-6])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_bracket_that_does_not_close_is_left(seed, slack):
+    """Bounds of responses that are too low keep it open; it still holds the optimum."""
+    points, budget = convex(np.random.default_rng(seed)), 0.6
+    player = Listed(points, slack=slack)
+    found = find_threshold(player, budget, 1.0, extremes(player, 1e-10), tolerance=1e-9)
+    best = constrained_optimum(points, budget)
+    assert found.low <= best <= found.high * (1 + 1e-12)
+    assert found.high - found.low <= 100.0 * slack * best
+    assert found.games <= 8
+    assert found.in_time
+
+
+def test_a_midpoint_halves_the_bracket(monkeypatch):
+    """Between a lower end that one game proves and the upper end, to 0.5 of their sum."""
+    points, ends, stakes = convex(np.random.default_rng(3)), [], []
+    player = Listed(points, slack=1e-2)
+    monkeypatch.setattr(games, "play", lambda *a, **k: stakes.append(a[1].stake) or play(*a, **k))
+    proved = games._threshold_from_game_value
+    monkeypatch.setattr(
+        games, "_threshold_from_game_value", lambda p: ends.append(proved(p)) or ends[-1]
+    )
+    highs = []
+    find_threshold(player, 0.6, 1.0, extremes(player, 1e-10), tolerance=1e-9,
+                   progress=lambda *at: highs.append(at[-1]))  # fmt: skip
+    assert len(stakes) > 1
+    for k in range(1, len(stakes)):
+        low = max(0.0, *ends[:k])
+        assert stakes[k] == (highs[k - 1] if k % 2 == 0 else 0.5 * (low + highs[k - 1]))
+
+
+RATIOS = {
+    "slack": (0.9, 0.95), "tight": (0.2, 0.3), "at the best one": (None, 0.5), "sure": (1.0, 1.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("origin", [0.0, 1.0])
+@pytest.mark.parametrize("low", RATIOS)
+@pytest.mark.parametrize("seed", range(4))
+def test_the_least_ratio_of_listed_policies(seed, low, origin):
+    """J_obj / (1 - J_cond) over all lotteries within the budget, by search.
+
+    The price where the budget is slack is the optimum itself.
+    """
+    rng = np.random.default_rng(seed)
+    points = convex(rng)
+    if low != "tight":
+        points = tuple(Point(f, c) for f, c in [*points, Point(0.5, 0.5)])
+    budget = RATIOS[low][1]
+    problem = S3P(model_of(RETRY), "x", failure_budget=budget, discount=0.9)
+    found = find_optimum(problem, Listed(points, origin), tolerance=1e-9)
+    best = constrained_ratio(points, budget)
+    assert found.objective == pytest.approx(best, rel=1e-9)
+    assert best * (1 - 2e-9) <= found.lower_bound <= best * (1 + 1e-12)
+    assert 0.0 < found.spent <= budget + 1e-15
+    single = min(points, key=lambda p: p.cost / (1.0 - p.failure))
+    if single.failure <= budget:
+        assert (found.price, found.spent) == pytest.approx((best, single.failure))
+        assert found.alpha == pytest.approx(1.0 - single.failure)
+    else:
+        assert found.spent == pytest.approx(budget)
+        assert found.price == found.threshold.failure_price
+
+
+def test_the_least_cost_of_listed_policies():
+    points = convex(np.random.default_rng(5))
+    problem = MCMP(model_of(RETRY), "x", failure_budget=0.4, discount=0.9)
+    found = find_optimum(problem, Listed(points), tolerance=1e-9)
+    best = constrained_optimum(points, 0.4)
+    assert found.objective == pytest.approx(best, rel=1e-9)
+    assert best * (1 - 1e-9) <= found.lower_bound <= best * (1 + 1e-12)
+    assert (found.spent, found.alpha) == (0.4, found.threshold.game.alpha)
+    assert found.price == found.threshold.failure_price
+
+
+@dataclass(frozen=True)
+class Interrupted(Listed):
+    """The same player; after so many calls somebody presses Ctrl-C in each."""
+
+    after: int = 0
+    calls: list[int] = field(default_factory=list)
+
+    def response(self, objective_weight, condition_weight, accuracy):
+        """Return the policy of least payoff, if there is time."""
+        self.calls.append(1)
+        if len(self.calls) > self.after:
+            raise KeyboardInterrupt
+        return super().response(objective_weight, condition_weight, accuracy)
+
+    def surplus(self, price, accuracy):
+        """Bound the surplus, if there is time."""
+        self.response(1.0, price, accuracy)
+        return super().surplus(price, accuracy)
+
+
+@pytest.mark.parametrize("origin", [0.0, 1.0])
+@pytest.mark.parametrize("budget", [0.051, 0.3, 0.95])
+@pytest.mark.parametrize("after", [*range(1, 13), 99])
+def test_whenever_a_search_is_interrupted_its_bounds_hold(after, budget, origin):
+    """From the second response on there is an answer, of which as much is proved as is stated."""
+    points = convex(np.random.default_rng(7))
+    points = (Point(0.05, 5.0), *points)
+    for criterion, reference in ((MCMP, constrained_optimum), (S3P, constrained_ratio)):
+        problem = criterion(model_of(RETRY), "x", failure_budget=budget, discount=0.9)
+        player = Interrupted(points, origin if criterion is S3P else 0.0, after=after)
+        with until(float("inf")):
+            found = find_optimum(problem, player, tolerance=1e-9)
+        best = reference(points, budget)
+        assert 0.0 <= found.lower_bound <= best * (1 + 1e-12)
+        assert found.objective >= best * (1 - 1e-12)
+        assert found.threshold.condition <= budget + 1e-12
+        if after == 99:
+            assert found.lower_bound == pytest.approx(found.objective, rel=2e-9)
+            assert found.threshold.in_time
