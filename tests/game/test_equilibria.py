@@ -1,6 +1,7 @@
 """Games of policies that are given by their costs alone: every quantity by hand or by search."""
 
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from ssp_lp.game import (
 from ssp_lp.game.equilibrium import cheapest_crossing, crossing, unplayed_game
 from ssp_lp.game.optimum import (
     _threshold_from_game_value,
+    bayes_player,
     cheapest_mixture,
     extremes,
     find_optimum,
@@ -251,6 +253,27 @@ def test_what_a_solution_shows():
         assert float(line.split()[-1]) == pytest.approx(number, rel=1e-5)
 
 
+def test_what_the_least_failure_says():
+    """Whether a discount nearer to 1 would help, and what the least failures are, exactly."""
+    model = model_of(TWO_MOVES)
+    for budget, words in ((0.005, "a discount nearer to 1 is feasible"), (0.0, None)):
+        problem = MCMP(model, "x", max(budget, 1e-9), discount=0.9)
+        with pytest.raises(InfeasibleError) as caught:
+            stationary_game(problem)
+        assert caught.value.least_failure == pytest.approx(0.0, abs=1e-15)
+        assert caught.value.least_discounted_failure == pytest.approx(0.1)
+        assert (words or "a discount nearer to 1 is feasible") in str(caught.value)
+    risky = model_of({"x": {"go": [(0.75, "g", 1), (0.25, "d", 1)]}, "d": {}})
+    with pytest.raises(InfeasibleError) as caught:
+        stationary_game(MCMP(risky, "x", 0.25, discount=0.9))
+    assert "nearer" not in str(caught.value)
+    assert caught.value.least_failure == pytest.approx(0.25)
+    with pytest.raises(InfeasibleError) as caught:
+        stationary_game(S3P(risky, "x", 0.3, discount=0.9), tail=2)
+    assert "nearer" not in str(caught.value)
+    assert caught.value.failure_budget == 0.3
+
+
 # Best responses.
 
 
@@ -278,6 +301,28 @@ def test_value_iteration_ends_with_two_bounds_at_any_accuracy(accuracy):
     assert found.totals[0] @ [1.0, price] == pytest.approx(exact, rel=1e-12)
 
 
+def test_a_cap_where_costs_have_no_unit():
+    """pi'_or takes a from y on, where M = 1 is paid: 1 + sqrt 2 with 1/2, discounted once.
+
+    The detour of greater goal probability is no tail, as in the case with a unit.
+    """
+    root = 2.0**0.5
+    model = model_of(
+        {
+            "x": {"on": [(1.0, "y", 1.0)]},
+            "y": {"a": [(0.5, "g", root), (0.5, "d", root)], "b": [(1.0, "z", 1.0)]},
+            "z": {"c": [(0.6, "g", root), (0.4, "d", 1.0)]},
+            "d": {},
+        }
+    )
+    problem = S3P(model, "x", failure_budget=0.95, discount=0.8)
+    known = 0.8 * 0.5 * (1.0 + root) / 0.32
+    for tail in (1e-9, 1.0, 1.0 + 1e-9, 2.0):
+        found = stationary_game(problem, tail=tail)
+        assert found.objective == pytest.approx(known, rel=1e-12), tail
+        assert found.lower_bound == pytest.approx(known, rel=1e-9)
+
+
 def test_decisions_change_with_time_only_where_they_differ():
     """One stage for all times where nothing is worth remembering; else as many as decisions."""
     problem = hand_problem(MCMP, TWO_MOVES, 0.5, 0.99)
@@ -285,6 +330,65 @@ def test_decisions_change_with_time_only_where_they_differ():
     (alone,) = found.policy.policies
     if isinstance(alone, TimedPolicy):
         assert len({id(stage) for stage in alone.stages}) == 1
+
+
+@pytest.mark.parametrize("begin", [0, 1])
+@pytest.mark.parametrize("price", [0.1, 100.0])
+def test_a_policy_is_improved_to_the_best_one_from_any(begin, price):
+    """RETRY: at a low price ``rush`` is best, at a high one ``care``; few steps are enough."""
+    player = stationary_player(hand_problem(MCMP, RETRY, 0.5, 0.95))
+    base, weights = player.base, np.array([1.0, price])
+    costs = np.stack([base.gain_cost, base.failure], axis=1)
+    each = [
+        players.improved_response(base.instant_dynamics, costs, weights, np.array([k], np.int32))
+        for k in (0, 1)
+    ]
+    choice, totals, steps = each[begin]
+    assert choice.tolist() == each[1 - begin][0].tolist() == [0 if price == 0.1 else 1]
+    assert totals[0] @ weights == pytest.approx(player.response(1.0, price, 1e-12).bound, rel=1e-11)
+    assert steps <= 2
+
+
+ONE_STEP = {
+    "likely": {"cheap": (0.5, 1.0), "dear": (0.875, 4.0)},
+    "rare": {"cheap": (2.0**-16, 1.0), "dear": (2.0**-15, 4.0)},
+}
+STARTS = [{"x": 1.0}, {"x": 0.5, "g": 0.5}, {"x": 0.5, "g": 0.25, "d": 0.25},
+          {"x": 1.0 - 2.0**-14, "g": 2.0**-14}, {"x": 1.0 - 2.0**-14, "d": 2.0**-14}]  # fmt: skip
+
+
+@pytest.mark.parametrize("chances", ONE_STEP)
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("make", [stationary_player, bayes_player])
+def test_bounds_count_the_start_on_goals_and_on_dead_ends(make, start, chances):
+    """One step in fractions: no bound lies above the best of two actions, nor far below it.
+
+    J_obj is E[cost; goal], J_cond is 1 - gamma E[goal] - (start on goals).
+    """
+    table = {
+        name: [(goal, "g", cost), (1.0 - goal, "d", cost)]
+        for name, (goal, cost) in ONE_STEP[chances].items()
+    }
+    problem = S3P(model_of({"x": table, "d": {}}), start, failure_budget=0.99999, discount=0.75)
+    player = make(problem)
+    points = [
+        (Fraction(start["x"]) * Fraction(goal) * Fraction(cost),
+         1 - Fraction(0.75) * Fraction(start["x"]) * Fraction(goal) - Fraction(start.get("g", 0.0)))
+        for goal, cost in ONE_STEP[chances].values()
+    ]  # fmt: skip
+    for price in (0.5, 3.0, 100.0):
+        exact = min(c - Fraction(price) * (1 - f) for c, f in points)
+        told = player.surplus(price, 1e-12)
+        size = max(float(c + Fraction(price) * (1 - f)) for c, f in points)
+        assert Fraction(told) <= exact
+        assert float(exact) - told <= 1e-14 * size
+        reply = player.response(1.0, price, 1e-12)
+        best = min(c + Fraction(price) * (f - Fraction(reply.origin)) for c, f in points)
+        assert Fraction(reply.bound) <= best
+        assert reply.payoff(1.0, price) == pytest.approx(float(best), rel=1e-13)
+        assert reply.bound == pytest.approx(float(best), rel=1e-12)
+        rare = max(1 - f for _, f in points) <= 1e-3
+        assert reply.origin == (1.0 if rare and make is stationary_player else 0.0)
 
 
 @criteria
