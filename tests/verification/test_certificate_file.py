@@ -198,6 +198,13 @@ KNOWN += [
 ]
 
 
+WIDE = {
+    number: 1e-19 if problem.model is THIRDS else 1e-11
+    for number, (problem, _) in enumerate(KNOWN)
+    if isinstance(problem, S3P) and (problem.model is THIRDS or problem.model is ROBOT)
+}
+"""Widths of ratios whose budget is slack, and of totals that go on beyond every cap."""
+
 SKID = model_of(
     {
         "a": {"fast": [(0.9, "g", 1.0), (0.1, "skid", 1.0)], "slow": [(1.0, "g", 10.0)]},
@@ -223,7 +230,7 @@ def test_the_interval_holds_what_is_known(number, tmp_path):
     if isinstance(problem, EGUBS):  # a utility is stated in decimals
         room = Fraction(1, 10**15)
     assert written.lower - room <= known <= written.upper + room
-    assert -room <= written.upper - written.lower < 1e-9
+    assert -room <= written.upper - written.lower < WIDE.get(number, 1e-25)
     assert check_certificate(tmp_path / "one", problem=problem) == written
     assert sha256_of(problem) == written.digest
     assert optimum(lines_of(tmp_path / "one")) == pytest.approx(float(known), rel=1e-8)
