@@ -10,7 +10,7 @@ import pytest
 import ssp_lp.verification.certify as certificates
 from formulations import MCMP, S3P, CostBoundedReach, CVaR, MaxProb
 from refusing import refused
-from small_models import FIRST
+from small_models import FIRST, model_of
 from ssp_lp import (
     DeterministicPolicy,
     MixedPolicy,
@@ -118,6 +118,8 @@ def test_what_a_certificate_shows():
 
 
 LAWS = [CVaR(FIRST, "depot", 0.9, 0.05), CostBoundedReach(FIRST, "depot", 8.0, 0.05)]
+OTHERS = [MCMP(FIRST, "depot", 0.05), CVaR(FIRST, "depot", 0.9)]
+"""A cost, and a tail mean of least failure: the cheapest way bounds neither."""
 
 
 def failing(error):
@@ -129,7 +131,7 @@ def failing(error):
     return fail
 
 
-@pytest.mark.parametrize("problem", [*LAWS, MCMP(FIRST, "depot", 0.05)])
+@pytest.mark.parametrize("problem", [*LAWS, *OTHERS])
 @pytest.mark.parametrize("error", [OutOfTimeError("late"), ModelError("too large a table")])
 def test_a_proof_that_does_not_come_is_that_of_the_cheapest_way(problem, error, monkeypatch):
     """Of a law of total costs; other criteria end in the error, as do proofs by its values."""
@@ -192,6 +194,33 @@ def test_an_answer_without_a_search_is_bounded_by_the_cheapest_way(monkeypatch):
     assert told.accepted
     assert told.lower_bound == worth_bound(problem)
     refused(None, certify, replace(solution, status=Status.OPTIMAL))
+    refused(None, certify, replace(solve(OTHERS[0]), value_function=None, status=Status.TIME_LIMIT))
+    afresh = solve(LAWS[0])
+    cut_short = certify(replace(afresh, value_function=None, status=Status.TIME_LIMIT))
+    assert cut_short.lower_bound == certify(afresh).lower_bound > worth_bound(LAWS[0])
+
+
+def test_the_cheapest_way_bounds_no_cost_until_failure():
+    """Failing for nothing with 1/2 costs 5 in the mean, less than any way to the goal, 10."""
+    risky, safe = [(0.5, "g", 10.0), (0.5, "d", 0.0)], [(1.0, "g", 10.0)]
+    model = model_of({"x": {"risky": risky, "safe": safe}, "d": {}})
+    solution = solve(MCMP(model, "x", 0.5, give_up="dead_ends", charge_failing_step=False))
+    assert solution.objective == pytest.approx(5.0)
+    safe = DeterministicPolicy.from_actions(model, {"x": "safe"})
+    told = certify(replace(solution, policy=MixedPolicy((safe,), np.ones(1))))
+    assert (told.objective, told.lower_bound) == pytest.approx((10.0, 5.0))
+    assert told.gap == pytest.approx(0.5)
+
+
+def test_the_least_failure_is_bounded_too():
+    """0.01 by the road; a budget asks for no such bound."""
+    least, limited = (certify(solve(MCMP(FIRST, "depot", budget))) for budget in (None, 0.05))
+    assert least.least_failure_bound == pytest.approx(0.01)
+    assert least.least_failure_bound <= 0.01 + 1e-15
+    assert limited.least_failure_bound is None
+    assert "least failure" not in least.summary()
+    tail = certify(solve(CVaR(FIRST, "depot", 0.9)))
+    assert tail.least_failure_bound == pytest.approx(0.01)
 
 
 def test_a_limit_that_is_broken_is_named():
