@@ -33,6 +33,7 @@ from ssp_lp.verification import cross_check as checking
 from ssp_lp.verification.cross_check import (
     METHODS,
     MethodResult,
+    SecondReading,
     compare_methods,
     result_by,
     result_of,
@@ -420,7 +421,13 @@ def test_distances_are_relative_to_the_greater_cost():
     assert compared(stated(-8.0), stated(-8.0)).objective_distance == 0.0
     assert compared(stated(-8.0), stated(-10.0)).objective_distance == pytest.approx(0.2)
     assert compared(stated(8.0)).objective_distance == 0.0
-    assert compared(stated(8.0), stated(float("nan"))).objective_distance == float("inf")
+    assert compared(stated(-10.0), stated(-8.0)).objective_distance == pytest.approx(0.2)
+    for pair in ((8.0, float("nan")), (float("nan"), 8.0)):
+        assert compared(*map(stated, pair)).objective_distance == float("inf")
+    cheap = MCMP(model_of({"a": {"go": [(1.0, "g", 1e-6)]}}), "a", failure_budget=0.5)
+    assert compared(stated(0.0), stated(1e-19), problem=cheap).objective_distance == pytest.approx(
+        0.1
+    )
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
@@ -468,6 +475,9 @@ def test_prices_that_differ_must_be_proved():
     unproved = stated(8.0, weight=0.6, low=7.0)
     found = compared(stated(8.0), unproved, stated(8.0))
     assert found.remarks == ("b: its price is not proved: the bound misses c* by 1.2e-01",)
+    for distance, named in ((0.9e-4, ()), (1.1e-4, ("b",))):
+        by_default = compared(stated(8.0), stated(8.0, weight=0.5 + distance, low=7.0))
+        assert by_default.disagreeing == named
     near = compared(stated(8.0), stated(8.0, weight=0.6, low=7.0), weight_tolerance=0.2)
     assert (near.agrees, near.remarks) == (True, ())
     unknown = compared(stated(8.0), stated(8.0, weight=None), stated(8.0, weight=None, low=7.0))
@@ -517,6 +527,13 @@ def test_what_a_comparison_shows():
     assert len(table.rows[1]) == len(table.columns)
     assert "lp: not run" in table.notes
     assert sum(note.startswith("columns: ") and " x (" in note for note in table.notes) == 1
+    apart = compare_methods([answer("columns"), answer("lp", 0.04)], first())
+    read = replace(apart, reading=SecondReading(1, 2, 3, ("a fault",)))
+    notes = read.tables()[0].notes
+    assert {*apart.remarks} < {*notes}
+    assert [note for note in notes if "read twice" in note or note == "a fault"] == [
+        "read twice: 1 dead-ends, 2 states to give up in, 3 where wandering is free", "a fault"
+    ]  # fmt: skip
 
 
 def test_members_of_case_s_count_their_cost_with_their_success():
@@ -550,7 +567,18 @@ def test_a_method_is_timed_and_given_its_time(monkeypatch):
     given, clock, known = [], iter([3.0, 5.5]), answer("lp").answer
     monkeypatch.setattr(checking.time, "perf_counter", lambda: next(clock))
     monkeypatch.setattr(
-        checking, "solve", lambda p, m, time_limit: given.append(time_limit) or known
+        checking, "solve", lambda p, m, time_limit: given.append((m, time_limit)) or known
     )
-    found = result_by("columns", first(), time_limit=7.0)
-    assert (found.seconds, given) == (2.5, [7.0])
+    found = result_by("lp", first(), "highs", time_limit=7.0)
+    assert (found.seconds, given) == (2.5, [(LinearProgramming("highs"), 7.0)])
+
+
+def test_a_loop_that_costs_is_no_free_waiting():
+    """In x one may stay for 4 a step, in y for nothing: both readings count y alone."""
+    ways = {
+        "x": {"stay": [(1.0, "x", 4.0)], "go": [(0.5, "y", 1.0), (0.5, "d", 1.0)]},
+        "y": {"rest": [(1.0, "y", 0.0)], "go": [(1.0, "g", 1.0)]},
+        "d": {},
+    }
+    found = checking.second_reading(MCMP(model_of(ways), "x", failure_budget=0.7))
+    assert (found.dead_ends, found.free, found.faults) == (1, 1, ())
