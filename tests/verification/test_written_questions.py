@@ -43,8 +43,10 @@ from ssp_lp import (
     write_certificate,
 )
 from ssp_lp.formulation import Formulation
-from ssp_lp.verification import certificate_file as files
+from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.verification import certificate_file as files, certificate_lines as reading
 from ssp_lp.verification.certificate_file import Checked, Statement, text_of
+from ssp_lp.verification.prove import Bounds
 
 ROAD = model_of(
     {
@@ -225,6 +227,68 @@ def test_a_utility_that_is_not_used_up_has_as_many_steps_as_it_needs(steps, tmp_
     known = Fraction(10.0 + np.exp(-0.5 * steps))
     assert abs(written.lower - known) < Fraction(1, 10**10)
     assert written.upper - written.lower < Fraction(1, 10**10)
+
+
+# Caps, from which on totals are not distinguished.
+
+
+@pytest.mark.parametrize(
+    ("widths", "best"),
+    [
+        ([1e-3, 1e-11, 1e-20], 1), ([1e-3, 1e-5, 0.95e-5, 1e-7], 2), ([1e-3, 1e-5, 2e-5, 1e-7], 1),
+        ([1e-3, 2e-3, 1e-7], 0), ([1e-11, 1e-20], 0), ([0.5**k for k in range(20)], 11),
+    ],
+)  # fmt: skip
+def test_caps_are_doubled_until_the_interval_is_narrow(widths, best, monkeypatch):
+    """Up to 1e-10 of 1 + the optimum, while each is a tenth narrower; the narrowest is kept."""
+    caps, programs = [], iter(widths)
+    solution = solve(S3P(ROAD, "road", 0.05))
+    monkeypatch.setattr(files, "_first_cap", lambda asked, solved: Fraction(3))
+    program_of = files.program_of
+    monkeypatch.setattr(
+        files, "program_of", lambda asked, statement, cap: caps.append(cap) or program_of(
+            asked, statement, cap)
+    )  # fmt: skip
+
+    def proof(nodes, members, prices):
+        width = next(programs)
+        return [b"proof %d" % (len(caps) - 1)], Bounds(Fraction(9), 9 + Fraction(10 * width), {})
+
+    monkeypatch.setattr(files, "proof_of", proof)
+    statement = Statement(solution.problem)
+    asked = reading.stated(statement.question, "main", None, {})
+    lines, bounds = files._best_proof(asked, statement, solution, "main")
+    assert lines == [b"proof %d" % best]
+    assert float(bounds.upper - 9) == pytest.approx(10 * widths[best])
+    assert caps == [3 * 2**k for k in range(len(caps))]
+    assert len(caps) <= 12
+
+
+@pytest.mark.parametrize("problem", [MCMP(ROAD, "road", 0.05), S3P(ROAD, "road", 0.05)])
+def test_a_charge_or_many_nodes_end_the_doubling(problem, monkeypatch):
+    """Without a charge of the total there is no cap; a program of more nodes is not tried."""
+    tried = []
+    solution, proof_of = solve(problem), files.proof_of
+    monkeypatch.setattr(files, "proof_of", lambda *given: tried.append(given) or proof_of(*given))
+    monkeypatch.setattr(files, "_NARROW", -1.0)
+    monkeypatch.setattr(files, "_MOST_NODES", 4)
+    files.certificate_of(solution)
+    assert len(tried) == 1
+
+
+@pytest.mark.parametrize("problem", [S3P(ROAD, "road", 0.05), CostBoundedReach(ROAD, "road", 7.5),
+                                     CostQuantile(ROAD, "road", 0.75, 0.05)])  # fmt: skip
+def test_the_first_cap_reaches_the_steps_of_the_charge(problem):
+    """Beyond the last step of the charge; twice the mean of a linear one; the policy's own cap."""
+    solution = solve(problem)
+    line, step = [">=", "0", "0", "1"], [">", "7.5", "0", "0"]
+    twice = 2 * Fraction(str(solution.objective))
+    for charge, least in (([], 0), ([line], twice), ([line, step], Fraction(17, 2))):
+        cap = files._first_cap({"charge": charge}, solution)
+        assert cap.denominator == 1
+        last = max((policy.cap * float(policy.unit) for policy in solution.policy.policies
+                    if isinstance(policy, CostAwarePolicy)), default=0.0)  # fmt: skip
+        assert cap == 0 if not charge else max(least, last) <= cap < max(least, last) + 2
 
 
 # What is not written.
