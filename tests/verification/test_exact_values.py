@@ -14,7 +14,7 @@ from formulations import MCMP, S3P, MinCost
 from refusing import refused
 from small_models import model_of
 from ssp_lp import DeterministicPolicy, MixedPolicy, SolverError, solve
-from ssp_lp.verification import exact_proof
+from ssp_lp.verification import certificate_file, exact_proof
 from ssp_lp.verification.certificate_file import certificate_of
 from ssp_lp.verification.certificate_lines import check
 from ssp_lp.verification.exact_proof import (
@@ -23,12 +23,14 @@ from ssp_lp.verification.exact_proof import (
     _dynamics_of,
     _of_few_digits,
     _Way,
+    best_lottery,
     best_values,
     lower_bound,
     near_choice,
     solved,
     sub_solution,
 )
+from ssp_lp.verification.prove import Row
 
 
 def exact_values(chosen):
@@ -198,6 +200,7 @@ def test_a_bound_of_a_ratio():
 STAYS = model_of({"x": {"stay": [(1.0, "x", 4.0)], "go": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}})
 REST = model_of({"x": {"stay": [(1.0, "x", 0.0)], "go": [(0.5, "g", 1.0), (0.5, "d", 1.0)]},
                  "d": {}})  # fmt: skip
+REST_OR_GO = {"stay": [(1.0, "y", 0.0)], "go": [(0.5, "g", 1.0), (0.5, "d", 1.0)]}
 
 
 @pytest.mark.parametrize(
@@ -229,3 +232,54 @@ def test_a_policy_that_stays_for_nothing_waits(criterion):
     bounds, _, _ = check(lambda: iter(lines))
     assert bounds.lower <= bounds.upper <= bounds.lower + Fraction(1, 10**19)
     assert float(bounds.upper) == pytest.approx(honest.objective, abs=1e-15)
+
+
+# The master program, and members beyond the cap.
+
+
+@pytest.mark.parametrize("bound", [Fraction(1, 2), Fraction(-1, 2), Fraction(7), Fraction(-7)])
+def test_a_row_may_be_exceeded_by_a_share_of_its_bound_or_of_1(bound):
+    """By a tenth here; beyond that no lottery satisfies it, and a price shows it."""
+    edge, row = bound + min(abs(bound), Fraction(1)) / 10, Row("row", bound, bound)
+    for value, feasible in ((edge, True), (edge + Fraction(1, 10**9), False)):
+        found = best_lottery([[Fraction(3), value]], [row], Fraction(1, 10), ratio=False)
+        assert bool(found.weights) == feasible
+        assert feasible or found.prices == [1 / (value - edge)] or found.prices[0] > 0
+    exact = best_lottery([[Fraction(3), bound]], [row], Fraction(0), ratio=False)
+    assert (exact.weights, exact.value) == ([1], 3)
+
+
+def test_a_member_that_never_succeeds_takes_no_part_in_a_ratio():
+    """It costs nothing and fails surely; 3 with success 1/2 is a ratio of 6."""
+    members = [[Fraction(0), Fraction(1)], [Fraction(3), Fraction(1, 2)]]
+    row = Row("failure", Fraction(1), Fraction(1))
+    found = best_lottery(members, [row], Fraction(0), ratio=True)
+    assert found.value == 6
+    assert found.weights[1] * Fraction(1, 2) == 1
+
+
+@pytest.mark.parametrize("cap", [1, 2, 5, 6, 11, 40])
+def test_a_way_beyond_the_cap_is_followed_to_its_end(cap, monkeypatch):
+    """Two steps of 5, of which none, one or both end below the cap; and half of a loop of 1."""
+    monkeypatch.setattr(certificate_file, "_first_cap", lambda asked, solved: Fraction(cap))
+    way = {"x": {"on": [(1.0, "y", 5.0)]}, "y": {"on": [(1.0, "g", 5.0)]}}
+    loop = {"x": {"go": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}}
+    for table, known in ((way, 10), (loop, 2)):
+        lines = certificate_of(solve(S3P(model_of(table), "x", 0.5)))
+        bounds, _, _ = check(lambda lines=lines: iter(lines))
+        assert bounds.lower <= known <= bounds.upper
+        assert bounds.upper - bounds.lower < Fraction(1, 10**19)
+
+
+@pytest.mark.parametrize("cap", [1, 4, 20])
+def test_a_policy_that_waits_beyond_the_cap(cap, monkeypatch):
+    """It pays 3 and rests for ever; the other one goes on, and arrives with 1/2 for 4."""
+    monkeypatch.setattr(certificate_file, "_first_cap", lambda asked, solved: Fraction(cap))
+    model = model_of({"x": {"on": [(1.0, "y", 3.0)]}, "y": REST_OR_GO, "d": {}})
+    honest = solve(S3P(model, "x", 0.75))
+    rests = DeterministicPolicy.from_actions(model, {"x": "on", "y": "stay"})
+    members = (rests, *honest.policy.policies)
+    lottery = MixedPolicy(members, np.full(len(members), 1.0 / len(members)))
+    lines = certificate_of(replace(honest, policy=lottery))
+    bounds, _, _ = check(lambda: iter(lines))
+    assert bounds.lower <= 4 <= bounds.upper <= bounds.lower + Fraction(1, 10**18)
