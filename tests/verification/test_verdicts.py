@@ -65,9 +65,12 @@ def test_both_sides_of_a_gap():
     cost = certificate_of(paid(8.0), 6.0, 0.5, tail=0.125)
     assert (cost.lower_bound, cost.upper_bound, cost.gap, cost.tail_gap) == (6.0, None, 0.25, 0.125)
     assert certificate_of(paid(-6.0), -8.0, 0.5).gap == pytest.approx(1 / 3)
+    assert certificate_of(paid(8.0), 6.0, 0.5).tail_gap == 0.0
     goal = certificate_of(paid(0.6), 0.8, 0.5, above=True)
     assert (goal.lower_bound, goal.upper_bound) == (0.6, 0.8)
     assert goal.gap == pytest.approx(0.25)
+    risky = certificate_of(paid(0.6, 0.75), 0.8, 0.5, above=True)
+    assert (risky.accepted, risky.lower_bound, risky.upper_bound) == (False, 0.6, 0.8)
 
 
 def test_a_least_failure_that_is_not_proved_widens_the_gap():
