@@ -206,8 +206,9 @@ REST_OR_GO = {"stay": [(1.0, "y", 0.0)], "go": [(0.5, "g", 1.0), (0.5, "d", 1.0)
 @pytest.mark.parametrize(
     ("problem", "decision"),
     [(MinCost(STAYS, "x"), None), (MCMP(STAYS, "x", 0.5, give_up="dead_ends"), "stay"),
-     (MCMP(STAYS, "x", 0.5, give_up="dead_ends"), None)],
-    ids=["gives up where failing is forbidden", "stays for ever at a cost", "gives up nowhere"],
+     (MCMP(STAYS, "x", 0.5), "stay"), (MCMP(STAYS, "x", 0.5, give_up="dead_ends"), None)],
+    ids=["gives up where failing is forbidden", "stays for ever at a cost",
+         "stays for ever where it might give up", "gives up nowhere"],
 )  # fmt: skip
 def test_a_policy_that_stops_where_it_may_not(problem, decision):
     honest = solve(problem)
