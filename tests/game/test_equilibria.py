@@ -584,3 +584,109 @@ def test_whenever_a_search_is_interrupted_its_bounds_hold(after, budget, origin)
         if after == 99:
             assert found.lower_bound == pytest.approx(found.objective, rel=2e-9)
             assert found.threshold.in_time
+
+
+@dataclass(frozen=True)
+class Improving(Listed):
+    """The same player, whose bounds come nearer with each call; it keeps the weights asked for."""
+
+    asked: list[tuple[float, float]] = field(default_factory=list)
+
+    def response(self, objective_weight, condition_weight, accuracy):
+        """Return the policy of least payoff, with a bound that is less low than before."""
+        self.asked.append((objective_weight, condition_weight))
+        best = super().response(objective_weight, condition_weight, accuracy)
+        lacking = 0.2 * 0.6 ** len(self.asked) * best.size(objective_weight, condition_weight)
+        return replace(best, bound=best.bound - lacking)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_bracket_is_narrowed_to_the_tolerance(seed):
+    """While two games narrow it: bounds that come nearer close it in the end."""
+    points = convex(np.random.default_rng(seed))
+    known = extremes(Listed(points), 1e-10)
+    found = find_threshold(Improving(points), 0.6, 1.0, known, tolerance=1e-4)
+    best = constrained_optimum(points, 0.6)
+    assert found.low <= best * (1 + 1e-12)
+    assert found.high == pytest.approx(best, rel=1e-9)
+    assert found.high - found.low <= 1e-4 * found.high
+    assert found.in_time
+
+
+def test_extremes_of_listed_policies():
+    points = (Point(0.3, 2.0), Point(0.2, 5.0), Point(0.9, 0.5))
+    safest, cheapest = extremes(Listed(points), 1e-10)
+    assert (safest.failing, safest.objective) == (0.2, 5.0)
+    assert (cheapest.failing, cheapest.objective) == (0.9, 0.5)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_at_the_least_failure_the_cheapest_policy_counts(scale):
+    """Whatever the unit of cost; failures within 1e-13 are one number, computed twice."""
+    for apart, known in ((0.0, 4.0), (5e-14, 4.0), (5e-12, 9.0 - 5e-12 / 0.4 * 8.0)):
+        points = (Point(0.2, 9.0 * scale), Point(0.2 + apart, 4.0 * scale), Point(0.6, scale))
+        player = Listed(points)
+        found = find_threshold(player, 0.2, 1.0, extremes(player, 1e-10), tolerance=1e-9)
+        assert found.high == pytest.approx(known * scale, rel=1e-9), apart
+        assert found.low <= found.high
+    below = find_threshold(player, 0.2 - 1e-11, 1.0, extremes(player, 1e-10), tolerance=1e-9)
+    assert below.budget == 0.2  # it counts as the least failure
+    assert below.condition == pytest.approx(0.2, abs=1e-15)
+
+
+def test_steep_prices_are_tried_where_the_budget_is_tight_and_until_they_do():
+    """In multiples of the cost of the goal, 5 / 0.8: the first one leads to the least failure."""
+    points = (Point(0.2, 5.0), Point(0.6, 1.0))
+    for budget, count in ((0.2, 1), (0.2 * (1 + 0.9e-6), 1), (0.2 * (1 + 1e-5), 0), (0.4, 0)):
+        player = Improving(points)
+        known = extremes(Listed(points), 1e-10)
+        steep = list(games._cheap_near_least_failure(player, budget, known, 1e-10))
+        assert player.asked == [(1.0, 1e3 * 5.0 / 0.8)] * count
+        assert [r.failing for r in steep] == [0.2] * count
+    near = (Point(0.2, 5.0), Point(0.2 + 1e-7, 3.0))
+    player = Improving(near)
+    steep = list(games._cheap_near_least_failure(player, 0.2, extremes(Listed(near), 1e-10), 1e-10))
+    assert [price for _, price in player.asked] == [k * 5.0 / 0.8 for k in (1e3, 1e6, 1e9)]
+    assert [r.objective for r in steep] == [3.0, 3.0, 5.0]
+
+
+def test_a_distance_from_alpha_leaves_no_probability():
+    """Both alphas are cut at 0 and 1; one that is beyond them before is refused."""
+    player, game = Improving((Point(0.2, 5.0), Point(0.6, 1.0))), Game(2.0, 0.4)
+    delta_mixture(player, game, 0.9, 0.5)
+    delta_mixture(player, game, 0.1, 0.5)
+    weights = [(0.4, 0.6 * 5.0), (1.0, 0.0), (0.0, 5.0), (0.6, 0.4 * 5.0)]
+    assert player.asked == pytest.approx(np.array(weights))
+    for alpha in (-0.1, 1.1):
+        refused("alpha must lie between 0 and 1", delta_mixture, player, game, alpha, 0.1)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_game_of_listed_policies_is_a_matrix_game(seed):
+    """Its bounds meet at the value of the linear program over all rows; both sides are kept."""
+    rng = np.random.default_rng(seed)
+    points = tuple(map(Point, *rng.uniform(0.1, 0.9, (2, 7)).tolist()))
+    game = Game(float(rng.uniform(0.2, 2.0)), float(rng.uniform(0.2, 0.8)))
+    found = play(Listed(points), game)
+    value = matrix_game_value(points, game)
+    assert found.lower == pytest.approx(value, rel=1e-9)
+    assert found.upper == pytest.approx(value, rel=1e-9)
+    assert found.value == pytest.approx(value, rel=1e-9)
+    assert found.minus in found.responses
+    assert found.plus in found.responses
+    again = play(Listed(points), game, found.responses)
+    assert again.upper == pytest.approx(value, rel=1e-9)
+
+
+def test_times_of_a_belief_are_whole_numbers():
+    for time in (0.5, np.array([1, -1]), np.array([1.0])):
+        refused("time must be whole numbers >= 0", games.belief_at, 0.5, 0.9, time)
+
+
+def test_the_least_failure_within_a_horizon():
+    """Two tries of 3/4 each: the least failure is 1/16, and 1 - (gamma + gamma^2 / 4) 3 / 4."""
+    model = model_of({"x": {"try": [(0.75, "g", 1), (0.25, "x", 1)]}})
+    with pytest.raises(InfeasibleError) as caught:
+        stationary_game(MCMP(model, "x", 0.05, discount=0.9, horizon=2))
+    assert caught.value.least_failure == pytest.approx(1 / 16)
+    assert caught.value.least_discounted_failure == pytest.approx(1 - 0.75 * (0.9 + 0.81 / 4))
