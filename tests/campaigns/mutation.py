@@ -219,7 +219,8 @@ class Campaign:
     """A plugin of pytest that tries mutants instead of running the tests once."""
 
     def __init__(self, package: str, asked: argparse.Namespace, folder: Path) -> None:
-        self.paths = sorted(map(str, (ROOT / "ssp_lp" / package).rglob("*.py")))
+        every = sorted((ROOT / "ssp_lp" / package).rglob("*.py"))
+        self.paths = [str(path) for path in every if path.name != "__init__.py"]
         self.package, self.asked, self.folder = package, asked, folder
         self.stops, self.broken, self.rows = False, False, list[str]()
 

@@ -323,6 +323,21 @@ def test_a_cap_where_costs_have_no_unit():
         assert found.lower_bound == pytest.approx(known, rel=1e-9)
 
 
+def test_a_cap_is_a_cost_where_costs_have_no_unit():
+    """pi'_or takes a from y on where M < 1 is paid there; M = 3 / 2 leaves the choice of b.
+
+    a pays 1 + 10 sqrt 2 with 1/2, discounted once; b and c pay 2 + sqrt 2, discounted twice.
+    """
+    root = 2.0**0.5
+    y = {"a": [(0.5, "g", 10.0 * root), (0.5, "d", root)], "b": [(1.0, "z", 1.0)]}
+    z = {"c": [(0.6, "g", root), (0.4, "d", 1.0)]}
+    model = model_of({"x": {"on": [(1.0, "y", 1.0)]}, "y": y, "z": z, "d": {}})
+    problem = S3P(model, "x", failure_budget=0.95, discount=0.8)
+    for tail, known in ((0.9, (1.0 + 10.0 * root) / 0.8), (1.5, (2.0 + root) / 0.8)):
+        found = stationary_game(problem, tail=tail)
+        assert found.objective == pytest.approx(known, rel=1e-12), tail
+
+
 def test_decisions_change_with_time_only_where_they_differ():
     """One stage for all times where nothing is worth remembering; else as many as decisions."""
     problem = hand_problem(MCMP, TWO_MOVES, 0.5, 0.99)
