@@ -629,10 +629,11 @@ def test_a_bracket_is_narrowed_to_the_tolerance(seed):
 
 
 def test_extremes_of_listed_policies():
-    points = (Point(0.3, 2.0), Point(0.2, 5.0), Point(0.9, 0.5))
+    """Neither is that of the least sum of both, 0.9 and 0.5."""
+    points = (Point(0.3, 2.0), Point(0.2, 5.0), Point(0.9, 0.5), Point(0.99, 0.45))
     safest, cheapest = extremes(Listed(points), 1e-10)
     assert (safest.failing, safest.objective) == (0.2, 5.0)
-    assert (cheapest.failing, cheapest.objective) == (0.9, 0.5)
+    assert (cheapest.failing, cheapest.objective) == (0.99, 0.45)
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
