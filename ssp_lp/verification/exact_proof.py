@@ -190,7 +190,7 @@ class Nodes:
         before, ends = defaultdict[int, list[int]](list), list[int]()
         for i, column in chosen.items():
             within = [a for a, j in column.moves if i in above or j not in above]
-            ends += [i] * (sum(within) < column.total)
+            ends += [i] * (not i or sum(within) < column.total)  # nothing stops at the beginning
             for _, j in column.moves:
                 before[j].append(i)
         ending = _closure(ends, lambda j: before[j] if j not in above else ())

@@ -300,12 +300,36 @@ def test_planted_faults_fit_the_source():
         planted_faults.planted("", planted_faults.FAULTS[0])
 
 
-def test_mutants_of_annotations_are_left_out():
-    source = "def f(x: int | None = 1 | 2) -> str | None:\n    return x | 3\n"
-    places = mutation.annotated_lines(source)
-    bars = [k for k, sign in enumerate(source.splitlines()[0]) if sign == "|"]
-    assert [(1, bar) in places for bar in bars] == [True, False, True]
-    assert (2, source.splitlines()[1].index("|")) not in places
-    for package in mutation.ROOMS:
-        assert "tests/" in mutation.tests_of(package, planted_faults.ROOT)
+SOURCE = '''
+MOST = 3
+
+def f(x: int | None = 1 | 2) -> str | None:
+    """Say 1 + 1."""
+    y = x[0] + 4 if x and not x else min(x, 1.5)
+    if y < 2:
+        raise ValueError(f"{y + 1} of 3")
+    y = [z for z in y if z]
+    return y
+'''
+CHANGED = {
+    "x[0] + 4 -> x[0] - 4", "x and (not x) -> not x", "x and (not x) -> x", "not x -> x",
+    "4 -> 5", "min(x, 1.5) -> max(x, 1.5)", "1.5 -> 150.0", "y < 2 -> y <= 2", "y < 2 -> y >= 2",
+    "2 -> 3", "y = [z for z in y if z] -> pass", " for z in y if z ->  for z in y",
+}  # fmt: skip
+
+
+def test_mutants_change_what_runs_in_functions_alone():
+    """No annotation, default, text, message or place; each is another program of the same lines."""
+    told = {mutant.change: mutant for mutant in mutation.mutants(SOURCE)}
+    long = {change for change in told if change.startswith(("x[0] + 4 if", "raise"))}
+    assert told.keys() - long == CHANGED
+    assert len(long) == 2
+    right = dict(mutation.codes(compile(SOURCE, "f", "exec")))
+    for mutant in told.values():
+        assert SOURCE.splitlines()[mutant.line - 1].strip().startswith(("y =", "if", "raise"))
+        wrong = dict(mutation.codes(compile(mutation.mutated(SOURCE, mutant), "f", "exec")))
+        assert ("f", 4) in wrong.keys() & right.keys()
+        assert wrong["f", 4] != right["f", 4]
+    for package, tests in mutation.ROOMS.items():
         assert Path(planted_faults.ROOT, "ssp_lp", package).is_dir()
+        assert all(Path(planted_faults.ROOT, path).exists() for path in tests.split())

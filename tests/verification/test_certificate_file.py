@@ -59,7 +59,7 @@ from ssp_lp import (
 )
 from ssp_lp.formulation import Formulation
 from ssp_lp.processes import failure_label, failure_semantics
-from ssp_lp.verification import certificate_lines, expand, prove
+from ssp_lp.verification import certificate_lines, exact_proof, expand, prove
 
 ROAD = model_of(
     {
@@ -198,6 +198,13 @@ KNOWN += [
 ]
 
 
+WIDE = {
+    number: 1e-19 if problem.model is THIRDS else 1e-11
+    for number, (problem, _) in enumerate(KNOWN)
+    if isinstance(problem, S3P) and (problem.model is THIRDS or problem.model is ROBOT)
+}
+"""Widths of ratios whose budget is slack, and of totals that go on beyond every cap."""
+
 SKID = model_of(
     {
         "a": {"fast": [(0.9, "g", 1.0), (0.1, "skid", 1.0)], "slow": [(1.0, "g", 10.0)]},
@@ -215,15 +222,24 @@ def few(label):
 
 
 @pytest.mark.parametrize("number", range(len(KNOWN)))
-def test_the_interval_holds_what_is_known(number, tmp_path):
+def test_the_interval_holds_what_is_known(number, tmp_path, monkeypatch):
+    """The lottery and the prices of the solution are those of the proof: one round a program.
+
+    A single policy, a penalty and a quantile take two; totals beyond every cap take many.
+    """
     problem, known = KNOWN[number]
+    rounds, values = [], exact_proof.Nodes.values
+    monkeypatch.setattr(exact_proof.Nodes, "values", lambda *a: rounds.append(a) or values(*a))
     known, written = Fraction(known), write_certificate(solve(problem), tmp_path / "one")
     assert written.accepted
+    if number not in WIDE:
+        kinds = FinitePenalty, CostQuantile, AlphaMCMP, S3P, ISSPUDE
+        assert len(rounds) <= len(written.programs) * (2 if isinstance(problem, kinds) else 1)
     room = Fraction(1, 10**20) if written.exceeded else Fraction(0)
     if isinstance(problem, EGUBS):  # a utility is stated in decimals
         room = Fraction(1, 10**15)
     assert written.lower - room <= known <= written.upper + room
-    assert -room <= written.upper - written.lower < 1e-9
+    assert -room <= written.upper - written.lower < WIDE.get(number, 1e-25)
     assert check_certificate(tmp_path / "one", problem=problem) == written
     assert sha256_of(problem) == written.digest
     assert optimum(lines_of(tmp_path / "one")) == pytest.approx(float(known), rel=1e-8)

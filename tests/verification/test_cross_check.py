@@ -4,28 +4,40 @@ import time
 from dataclasses import replace
 from functools import cache
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 from checks import library_model
-from formulations import MCMP, S3P
+from formulations import MCMP, S3P, CVaR
 from refusing import refused
 from small_models import FIRST, model_of
 from ssp_lp import (
+    DeterministicPolicy,
     Game,
     InfeasibleError,
     LinearProgramming,
     MixedPolicy,
+    ModelError,
     certify,
     cross_check,
     evaluate,
+    expected_cost,
     solve,
 )
+from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.errors import SolverError
 from ssp_lp.verification import cross_check as checking
-from ssp_lp.verification.cross_check import METHODS, compare_methods, result_of
+from ssp_lp.verification.cross_check import (
+    METHODS,
+    MethodResult,
+    SecondReading,
+    compare_methods,
+    result_by,
+    result_of,
+)
 from strategies import acyclic_problems, often, problems, semantics
 
 discounts = st.sampled_from([0.9, 0.99, 0.5, 0.999])
@@ -369,3 +381,204 @@ def test_the_least_failure_at_any_unit_of_cost(scale, criterion):
     model = walk(cost=scale, wait=scale, slip=0.05)
     loose = criterion(model, "a", failure_budget=1.0, discount=0.9)
     check_roads(replace(loose, failure_budget=least_failure(loose)))
+
+
+# The comparison by hand: answers that are given by their numbers alone.
+
+
+def stated(objective, low=None, attained=None, failure=0.05, weight=0.5, gap=0.125):
+    """An answer of these numbers; its bound and its policy attain the optimum unless said."""
+    evaluation = SimpleNamespace(
+        objective=objective if attained is None else attained, limited_failure=failure
+    )
+    return SimpleNamespace(
+        objective=objective, lower_bound=objective if low is None else low,
+        evaluation=evaluation, adversary_weight=weight, gap=gap,
+    )  # fmt: skip
+
+
+def compared(*answers, problem=None, **tolerances):
+    """The comparison of methods "a", "b", ... with these answers or errors."""
+    rows = [
+        MethodResult(name, None, "failed", one)
+        if isinstance(one, Exception)
+        else MethodResult(name, one)
+        for name, one in zip("abcd", answers, strict=False)
+    ]
+    return compare_methods(rows, problem or first(), **tolerances)
+
+
+def test_distances_are_relative_to_the_greater_cost():
+    """1 of 11, and of 1e-12 of the greatest step where costs are less than that (9 here)."""
+    found = compared(stated(10.0), stated(11.0, attained=11.0), stated(10.5))
+    assert found.objective_distance == pytest.approx(1 / 11)
+    assert found.evaluated_distance == pytest.approx(1 / 11)
+    assert found.disagreeing == ("a", "b", "c")
+    tiny = compared(stated(0.0), stated(9e-19))
+    assert tiny.objective_distance == pytest.approx(1e-7, rel=1e-12)
+    assert tiny.agrees
+    assert not compared(stated(0.0), stated(9e-17)).agrees
+    assert compared(stated(-8.0), stated(-8.0)).objective_distance == 0.0
+    assert compared(stated(-8.0), stated(-10.0)).objective_distance == pytest.approx(0.2)
+    assert compared(stated(8.0)).objective_distance == 0.0
+    assert compared(stated(-10.0), stated(-8.0)).objective_distance == pytest.approx(0.2)
+    for pair in ((8.0, float("nan")), (float("nan"), 8.0)):
+        assert compared(*map(stated, pair)).objective_distance == float("inf")
+    cheap = MCMP(model_of({"a": {"go": [(1.0, "g", 1e-6)]}}), "a", failure_budget=0.5)
+    assert compared(stated(0.0), stated(1e-19), problem=cheap).objective_distance == pytest.approx(
+        0.1
+    )
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
+def test_costs_agree_up_to_the_tolerance(tolerance):
+    for factor, agrees in ((1 + 0.9 * tolerance, True), (1 + 1.1 * tolerance, False)):
+        found = compared(stated(8.0), stated(8.0 * factor, low=8.0), tolerance=tolerance)
+        assert found.agrees is agrees
+        assert found.disagreeing == (() if agrees else ("a", "b"))
+
+
+def test_the_one_outside_of_the_majority_is_named():
+    found = compared(stated(8.0), stated(9.0, low=8.0), stated(8.0))
+    assert found.remarks == ("b: its c* differs from that of a, c",)
+    all_apart = compared(stated(8.0, low=6.0), stated(9.0, low=8.0), stated(7.0, low=6.0))
+    assert all_apart.disagreeing == ("a", "b", "c")
+    assert "exceeds the 7 that the policy of c attains" in all_apart.remarks[1]
+    assert "no other method has its c*" in all_apart.remarks[0]
+
+
+def test_a_policy_beyond_the_budget_is_named_before_all_else():
+    """By what a budget may lie below the least failure, 1e-10, nothing is said."""
+    for beyond, named in ((0.5 * LEAST_BUDGET, ()), (2.0 * LEAST_BUDGET, ("b",))):
+        found = compared(stated(8.0), stated(8.0, failure=0.05 + beyond), stated(8.0))
+        assert found.disagreeing == named
+        assert found.budget_overrun == pytest.approx(beyond if named else 0.0, rel=1e-5)
+    worst = compared(stated(8.0, failure=0.3), stated(7.0, failure=0.1), stated(8.0))
+    assert worst.disagreeing == ("a", "b")
+    assert worst.budget_overrun == pytest.approx(0.25)
+    assert "breaks the budget by 2.5e-01" in worst.remarks[0]
+    free = compared(stated(8.0, failure=0.9), problem=first(budget=None, discount=None))
+    assert (free.agrees, free.budget_overrun) == (True, 0.0)
+
+
+def test_a_policy_that_attains_another_cost_is_named():
+    found = compared(stated(8.0), stated(8.0, attained=9.0), stated(8.0))
+    assert found.remarks == ("b: it states c* = 8, but its policy attains 9",)
+    assert found.evaluated_distance == pytest.approx(1 / 9)
+
+
+def test_prices_that_differ_must_be_proved():
+    """A bound that meets c* proves its price; weights within the tolerance need no proof."""
+    apart = stated(8.0, weight=0.6)
+    assert compared(stated(8.0), apart).remarks == ("several prices are optimal",)
+    assert compared(stated(8.0), apart).weight_distance == pytest.approx(0.1)
+    unproved = stated(8.0, weight=0.6, low=7.0)
+    found = compared(stated(8.0), unproved, stated(8.0))
+    assert found.remarks == ("b: its price is not proved: the bound misses c* by 1.2e-01",)
+    for distance, named in ((0.9e-4, ()), (1.1e-4, ("b",))):
+        by_default = compared(stated(8.0), stated(8.0, weight=0.5 + distance, low=7.0))
+        assert by_default.disagreeing == named
+    near = compared(stated(8.0), stated(8.0, weight=0.6, low=7.0), weight_tolerance=0.2)
+    assert (near.agrees, near.remarks) == (True, ())
+    unknown = compared(stated(8.0), stated(8.0, weight=None), stated(8.0, weight=None, low=7.0))
+    assert (unknown.agrees, unknown.weight_distance, unknown.remarks) == (True, 0.0, ())
+
+
+def test_a_bound_above_what_is_attained_is_named():
+    """A bound that passes an attained cost by rounding is none."""
+    found = compared(stated(8.0, low=8.0 * (1 + 1e-4)), stated(8.0), stated(8.0))
+    assert found.disagreeing == ("a",)
+    assert "its lower bound 8.0008 exceeds the 8 that the policy of " in found.remarks[0]
+    assert compared(stated(8.0, low=8.0 * (1 + 1e-7)), stated(8.0)).agrees
+
+
+@pytest.mark.parametrize(
+    ("least", "discounted", "named"),
+    [
+        (0.0, 0.05 + 2e-9, True), (0.0, 0.05 + 0.5e-9, False), (0.05 + 2e-9, None, True),
+        (0.05 + 0.5e-9, None, False), (0.9, 0.0, False), (None, None, False),
+    ],
+)  # fmt: skip
+def test_who_calls_infeasible_what_another_one_solves(least, discounted, named):
+    """By the failure that the budget limits, and not within 1e-9 of it."""
+    error = InfeasibleError(
+        "no", failure_budget=0.05, least_failure=least, least_discounted_failure=discounted
+    )
+    found = compared(stated(8.0), error)
+    assert found.disagreeing == (("b",) if named else ())
+    assert found.failed == ("b",)
+    assert compared(error, error).disagreeing == ()
+
+
+def test_what_a_comparison_shows():
+    lone = compared(stated(8.0), SolverError("x"))
+    assert repr(lone) == "CrossCheck(a, b: nothing to compare: fewer than two answers)"
+    both = repr(compared(stated(8.0), stated(8.0)))
+    assert both.startswith("CrossCheck(a, b: 2 methods agree: c* within 0.0e+00, alpha* within")
+    assert "DISAGREEMENT of a, b: " in repr(compared(stated(8.0), stated(9.0, low=8.0)))
+    row = MethodResult("lp", note="not run", seconds=0.5)
+    assert row.members.shape == (0, 3)
+    assert row.objective is None
+    found = compare_methods([row, answer("columns")], first())
+    (table,) = found.tables()
+    assert table.rows[0] == ("lp", *[None] * 9, 0.5)
+    assert table.rows[1][:3] == ("columns", answer("columns").answer.objective,
+                                 answer("columns").answer.lower_bound)  # fmt: skip
+    assert len(table.rows[1]) == len(table.columns)
+    assert "lp: not run" in table.notes
+    assert sum(note.startswith("columns: ") and " x (" in note for note in table.notes) == 1
+    apart = compare_methods([answer("columns"), answer("lp", 0.04)], first())
+    read = replace(apart, reading=SecondReading(1, 2, 3, ("a fault",)))
+    notes = read.tables()[0].notes
+    assert {*apart.remarks} < {*notes}
+    assert [note for note in notes if "read twice" in note or note == "a fault"] == [
+        "read twice: 1 dead-ends, 2 states to give up in, 3 where wandering is free", "a fault"
+    ]  # fmt: skip
+
+
+def test_members_of_case_s_count_their_cost_with_their_success():
+    """The safe road alone: 9 of E[cost; goal] = 0.99 * 9, and a failure of 1 - 0.999 * 0.99."""
+    problem = first(S3P, budget=0.5, discount=0.9)
+    weights, costs, failures = result_of("columns", solve(problem)).members.T
+    assert weights @ costs / (1.0 - weights @ failures) == pytest.approx(solve(problem).objective)
+    sure = model_of({"x": {"lost": [(1.0, "d", 1.0)], "go": [(0.5, "g", 2.0), (0.5, "d", 3.0)]},
+                     "d": {}})  # fmt: skip
+    lost, go = (DeterministicPolicy.from_actions(sure, {"x": name}) for name in ("lost", "go"))
+    problem = S3P(sure, "x", failure_budget=1.0)
+    mixed = replace(solve(problem), policy=MixedPolicy((lost, go), np.array([0.25, 0.75])))
+    assert result_of("columns", mixed).members == pytest.approx(
+        np.array([[0.25, 0.0, 1.0], [0.75, 1.0, 0.5]])
+    )
+
+
+def test_a_model_at_fault_is_no_result_of_a_method(monkeypatch):
+    """The game's own limits are noted, what others refuse is raised; laws are not compared."""
+    failing = ModelError("too many states")
+    assert planted(monkeypatch, Game(), failing).methods[2].note == "failed: too many states"
+    with pytest.raises(ModelError, match="too many states"):
+        planted(monkeypatch, LinearProgramming(), failing)
+    limits = {"c": expected_cost() <= 9.0}
+    for problem in (CVaR(FIRST, "depot", 0.9, 0.05), MCMP(FIRST, "depot", 0.5, constraints=limits)):
+        refused("cross_check supports expected costs with a failure budget alone", cross_check,
+                problem)  # fmt: skip
+
+
+def test_a_method_is_timed_and_given_its_time(monkeypatch):
+    given, clock, known = [], iter([3.0, 5.5]), answer("lp").answer
+    monkeypatch.setattr(checking.time, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(
+        checking, "solve", lambda p, m, time_limit: given.append((m, time_limit)) or known
+    )
+    found = result_by("lp", first(), "highs", time_limit=7.0)
+    assert (found.seconds, given) == (2.5, [(LinearProgramming("highs"), 7.0)])
+
+
+def test_a_loop_that_costs_is_no_free_waiting():
+    """In x one may stay for 4 a step, in y for nothing: both readings count y alone."""
+    ways = {
+        "x": {"stay": [(1.0, "x", 4.0)], "go": [(0.5, "y", 1.0), (0.5, "d", 1.0)]},
+        "y": {"rest": [(1.0, "y", 0.0)], "go": [(1.0, "g", 1.0)]},
+        "d": {},
+    }
+    found = checking.second_reading(MCMP(model_of(ways), "x", failure_budget=0.7))
+    assert (found.dead_ends, found.free, found.faults) == (1, 1, ())

@@ -295,6 +295,7 @@ def _elsewhere(charges):
     ("room", "wrong", "told"),
     [
         ("dead_end_charges", lambda right: 2.0 * right, "failing in 'swamp' charges 2, by the sec"),
+        ("dead_end_charges", lambda right: 0.5 * right, "'swamp' charges 0.5, by the second"),
         ("give_up_charges", lambda right: right + 1.0, "failing in 'a' charges 1, by the second"),
         ("give_up_charges", _elsewhere, "is not a state to give up in"),
         ("hopeless_states", np.zeros_like, "'swamp' is not a dead-end"),
