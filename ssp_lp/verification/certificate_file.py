@@ -50,7 +50,7 @@ from ssp_lp.verification.prove import Bounds, RefusedError, number
 
 _CAPS, _NARROW = 12, 1e-10  # number of caps to try, and the relative width that ends the trials
 _MOST_NODES = 2_000_000
-_BEYOND = 1.1  # factor of the rise of the cap that should suffice
+_AIM = 1e-12  # relative width for which a cap is chosen by the rate of the earlier ones
 _STEEP = 1000.0  # price of failing with least failure, times 1 + |objective|
 _FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
@@ -522,8 +522,8 @@ def _best_proof(
         if nodes.size > _MOST_NODES // 2:
             break
         if len(widths) > 2:
-            ahead = math.log(widths[-1] / _NARROW) / math.log(widths[-2] / widths[-1])
-            more = min(max(more * Fraction(_BEYOND * ahead), cap / 8), 3 * cap)
+            ahead = math.log(widths[-1] / _AIM) / math.log(widths[-2] / widths[-1])
+            more = min(max(more * Fraction(ahead), cap / 8), 3 * cap)
         cap += math.ceil(more)
     return best
 
