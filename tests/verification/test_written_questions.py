@@ -355,10 +355,8 @@ def test_policies_that_no_certificate_follows(tmp_path):
     one, other = honest.policy.policies
     timed = TimedPolicy((one, other))
     drawing = StochasticPolicy.from_actions(FIRST, {"depot": {"alley": 0.5, "road": 0.5}})
-    for policy, words in (
-        (timed, "remembers more than the total cost"),
-        (drawing, "draws its actions"),
-    ):
+    words = "remembers more than the total cost", "draws its actions"
+    for policy, word in zip((timed, drawing), words, strict=True):
         forged = replace(honest, policy=MixedPolicy((policy,), np.ones(1)))
         refused(f"no certificate file of a policy that {word}", files.certificate_of, forged)
 
