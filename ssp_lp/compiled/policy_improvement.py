@@ -287,16 +287,25 @@ def sweep_reach(
 
 @compiled_loop
 def follow_reach(
-    rows: Rows, order: Array, wanted: Array, epsilon: float, choice: Array, values: Array
-) -> None:
-    """Raise probabilities of leaving by an exit under the chosen pairs, state by state.
+    begins: Array, ends: Array, indices: Array, data: Array, order: Array, wanted: Array,
+    epsilon: float, turned: bool, values: Array,
+) -> None:  # fmt: skip
+    """Update probabilities of leaving along a policy, state by state, rounded down.
 
-    The arguments are those of ``sweep_reach``; backups are rounded down.
+    Args:
+        begins: position of the first entry of the policy's row of each state visited, [states].
+        ends: position after the last one, [states].
+        indices: [entries].
+        data: [entries].
+        order: the states to visit, [states].
+        wanted: probability of leaving by the exit, by the policy's pair of each, [states].
+        epsilon: the machine epsilon.
+        turned: whether to visit the last state first.
+        values: of all states.
     """
-    _, indptr, indices, data, _ = rows
-    for s in order:
-        pair = choice[s]
-        total, begin, end = wanted[pair], indptr[pair], indptr[pair + np.uint32(1)]
+    for number in range(order.size):
+        i = np.uint64(order.size - 1 - number if turned else number)
+        s, total, begin, end = order[i], wanted[i], begins[i], ends[i]
         for k in range(begin, end):
             total += data[k] * values[indices[k]]
         total *= 1.0 - (float(end - begin) + 5.0) * epsilon

@@ -29,6 +29,9 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
 
+MOST_CACHED = 2**19
+"""Most stored numbers: 4 MB, so that they stay in the cache of a core."""
+
 _FEW_ENTRIES = 20_000
 _NONE = np.zeros(0)
 _NOBODY = np.zeros(0, dtype=np.uint32)

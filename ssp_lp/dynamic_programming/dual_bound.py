@@ -122,14 +122,14 @@ def dual_bound(
     enough = PROVED * scale if least_loss is None else least_loss
     lack, worst = shortfall(dynamics, pair_cost, values), np.inf
     lowered = np.full_like(values, floor)
-    if lack.any() and least_loss is not None:  # for probabilities, sweeps often suffice
+    many = dynamics.n_states > DIRECT_STATES
+    if many and lack.any() and least_loss is not None:  # for probabilities, sweeps often suffice
         lowered, worst = raised(dynamics, pair_cost, lowered, values, starts, enough)
     if worst > enough:
         found = lowered_to_backups(dynamics, pair_cost, values, lack, floor)
         lowered = np.maximum(lowered, found)  # the maximum of two sub-solutions is one
         lowered, worst = raised(dynamics, pair_cost, lowered, values, starts, enough)
     bound = DualBound(lowered, np.zeros_like(lowered))
-    many = dynamics.n_states > DIRECT_STATES
     if worst <= (PROVED_OF_MANY * scale if many else enough) or (many and least_loss is not None):
         return bound
     if float(lack.max(initial=0.0)) > NEARLY * scale:

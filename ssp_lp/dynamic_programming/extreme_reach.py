@@ -25,10 +25,11 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    unsigned,
 )
 from ssp_lp.compiled.accelerator import accelerated, with_twin
-from ssp_lp.compiled.deadline import STOPS, closing, end_with_incumbent, pieces
-from ssp_lp.dynamic_programming.bellman import best_pairs
+from ssp_lp.compiled.deadline import STOPS, check_time, closing, end_with_incumbent, pieces
+from ssp_lp.dynamic_programming.bellman import MOST_CACHED, best_pairs, chosen_rows
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACTLY_SOLVED
@@ -216,7 +217,7 @@ def _swept_towards(
                 waiting = ahead[asked] if slower > _QUICK else ahead
                 if float(waiting.max(initial=0.0)) <= near * size:
                     high, near = np.minimum(low + ahead + 0.5 * PROVED * size, 1.0), _NEARER * near
-                    for ups in range(1, max(turn, _SWEEPS) + 1):
+                    for ups in range(1, max(_WAITED * turn, _SWEEPS) + 1):
                         settled = sweep(high, up=True) <= 0.0
                         next_attempt = turn + 1 + ups // _WAITED  # at most half of the time
                         if ((high - low)[asked] > PROVED * size).any():
@@ -268,15 +269,19 @@ def _sweep(
         return rise
     from ssp_lp.compiled.policy_improvement import follow_reach, sweep_reach
 
-    pairs = choice.view(np.uint32)
+    how = wanted, MACHINE_EPSILON, up, choice.view(np.uint32), values
     for some in pieces(order.size, rows.nnz):
-        rise = max(rise, sweep_reach(
-            dynamics.rows, order[some], wanted, MACHINE_EPSILON, up, pairs, values
-        ))  # fmt: skip
-    for _ in range(0 if up or rise == 0.0 else _FOLLOWED):
-        order = next(directions)
-        for some in pieces(order.size, order.size):
-            follow_reach(dynamics.rows, order[some], wanted, MACHINE_EPSILON, pairs, values)
+        rise = max(rise, sweep_reach(dynamics.rows, order[some], *how))
+    if up or rise == 0.0:
+        return rise
+    pairs = own = choice[order]
+    if rows.nnz > MOST_CACHED:  # rows next to each other are read faster
+        rows, own = chosen_rows(rows, pairs), np.arange(order.size)
+    indptr, indices = unsigned(rows.indptr), unsigned(rows.indices)
+    parts = indptr[own], indptr[own + 1], indices, rows.data, order, wanted[pairs]
+    for number in range(_FOLLOWED):
+        check_time()
+        follow_reach(*parts, MACHINE_EPSILON, number % 2 == 0, values)
     return rise
 
 

@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
-from ssp_lp.dynamic_programming.bellman import SharedRows, SparseRows
+from ssp_lp.dynamic_programming.bellman import MOST_CACHED, SharedRows, SparseRows
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import kept
 
@@ -109,9 +109,6 @@ _WORTH_SHARING = 1_000_000
 _TIMES_SHARED = 4
 """Least average number of uses of each stored number: fewer save too little."""
 
-_MOST_NUMBERS = 2**19
-"""Most stored numbers: 4 MB, so that they stay in the cache of a core."""
-
 _NOWHERE = np.zeros(0, dtype=np.int32)
 
 
@@ -177,8 +174,8 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
 
     n_rows, n_outcomes = len(rows.pair_at), rows.model.n_outcomes
     indices = np.empty(entries, dtype=bounds.dtype)
-    begins, data = np.empty(n_rows, dtype=np.int32), np.empty(_MOST_NUMBERS)
-    slots, used = np.full(2 * _MOST_NUMBERS, -1, dtype=np.int32), 0
+    begins, data = np.empty(n_rows, dtype=np.int32), np.empty(MOST_CACHED)
+    slots, used = np.full(2 * MOST_CACHED, -1, dtype=np.int32), 0
     numbers = np.zeros(0)  # of one piece
     for some in pieces(n_rows, n_outcomes):
         first, end = bounds[some.start], bounds[some.stop]
