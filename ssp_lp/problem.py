@@ -443,7 +443,7 @@ def check_measures(problem: Problem) -> None:
                         ("a discount", problem.discount is not None),
                         ("constraints", problem.has_rows)):  # fmt: skip
         if given:
-            raise ModelError(f"boxes do not support {word}: state the problem without")
+            raise ModelError(f"boxes do not support {word}: leave it out of the problem")
 
 
 def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:

@@ -368,7 +368,7 @@ class _Optimum:
         wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
         if wrong.any():
             label = self.measure.program.label(int(own[np.argmax(wrong)]))
-            raise ModelError(f"no derivatives: the outcomes of {label} do not add up to its value")
+            raise ModelError(f"the value of {label} is too rough for derivatives: round the costs")
         return own[each], outcome, place, worth
 
     @cached_property
@@ -664,7 +664,7 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
         raise
     if 2.0 * seconds_left() < limit:
         raise Stop  # the limit has cut the solver short of a vertex
-    raise SolverError("interior points alone solved the program: their prices are too rough")
+    raise SolverError("the LP solver found no vertex, whose prices are needed: round the costs")
 
 
 def _facts(model: SSP) -> dict[str, Any]:

@@ -103,7 +103,7 @@ def required(part: _Array | None) -> _Array:
         ModelError: the column has none, since it was not made by pricing.
     """
     if part is None:
-        raise ModelError("the column has no choice or totals: the pricing problem did not make it")
+        raise ModelError("no choice or totals: pass a column that the pricing problem made")
     return part
 
 
@@ -347,6 +347,6 @@ def least_of(lower_bound: float, objective: float) -> float:
     if lower_bound > objective + CONTRADICTION * max(abs(objective), abs(lower_bound)) + _TINY:
         raise SolverError(
             f"the value of a policy, {objective!r}, lies below the lower bound of all policies, "
-            f"{lower_bound!r}: the model is too ill-conditioned for double precision"
+            f"{lower_bound!r}: runs are too long for double precision; try a discount"
         )
     return min(lower_bound, objective)

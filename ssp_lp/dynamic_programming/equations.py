@@ -353,6 +353,6 @@ def strong_components(
     label = sp.csgraph.connected_components(edges, connection="strong")[1]
     entry = edges.tocoo()
     if (label[entry.row] < label[entry.col]).any():  # scipy does not document the order
-        raise SolverError("the strong components that scipy found are in no topological order")
+        raise SolverError("scipy lists strong components in no topological order: install numba")
     order = np.argsort(label, kind="stable").astype(np.int32)
     return StrongComponents(label, order, offsets_of(np.bincount(label)))

@@ -276,7 +276,7 @@ def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
         rows = Rows.of_failure(row.raised_to(safest), pricing)
         found = lottery_within(pricing, [*columns, safest], rows, ratio=True)
     if found is None:
-        raise SolverError("the policy of least failure never reaches the goal at exact costs")
+        raise SolverError("the safest policy reaches the goal too rarely to compute its cost")
     return Answer(found.lottery(pricing), found.objective, 0.0, found.failure)
 
 
@@ -682,7 +682,7 @@ def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     if isinstance(policy, CostAwarePolicy):
         return replace(policy, model=model, rounds_up=True)
     if not isinstance(policy, DeterministicPolicy):
-        raise ModelError(f"a {type(policy).__name__} does not remember the cost paid")
+        raise ModelError(f"a {type(policy).__name__} does not remember the total cost so far")
     pair, first = policy.decision, model.pair_offsets[:-1]
     position = np.where(pair < 0, pair, pair - first)[None, :]
     never = np.full(model.n_states, np.inf)

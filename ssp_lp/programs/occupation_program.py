@@ -444,7 +444,7 @@ class OccupationProgram(Report):
             tried.append(report)
         if infeasible:
             raise self.infeasible()
-        raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
+        raise SolverError(f"no backend passes its check ({'; '.join(tried)}): use solve(problem)")
 
     def infeasible(self) -> InfeasibleError:
         """Return the error for rows that no visits satisfy together."""
