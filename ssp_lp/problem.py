@@ -501,7 +501,7 @@ def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
 
 
 def as_float(value: Any) -> Any:
-    """Return a problem's argument as a float if it is a fraction or numpy's, else unchanged."""
+    """Return fractions and numbers of numpy as floats, and other arguments unchanged."""
     return value if type(value) in (bool, int, float) or not is_number(value) else float(value)
 
 

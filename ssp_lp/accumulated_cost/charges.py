@@ -90,7 +90,7 @@ class TailValues(NamedTuple):
         return TailValues(*[each[number] for each in self])
 
     def chosen(self, last: BoolArray) -> TailValues:
-        """Return the last policy's values where ``last`` is true, elsewhere the first policy's.
+        """Return values of the last policy where ``last`` is true, elsewhere of the first policy.
 
         The arrays have the shape of ``last``.
         """

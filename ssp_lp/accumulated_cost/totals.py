@@ -503,7 +503,7 @@ class Resolution:
         return Totals(read_only(np.linspace(0.0, cap, size + 1)), steps)
 
     def up_to(self, total: float) -> Resolution:
-        """Return the resolution with a cap, if it has none, at a total where failing is optimal."""
+        """Return the resolution; without a cap, cap it above a total where failing is optimal."""
         return replace(self, cap=CAP_MARGIN * total) if self.cap is None and total > 0.0 else self
 
     def finer(self, totals: Totals, enough: float | None, most: int) -> Resolution | None:

@@ -231,7 +231,7 @@ class _Optimum:
 
     @cached_property
     def scale(self) -> float:
-        """Factor that turns the Lagrangian's derivative into the optimum's.
+        """Factor between the derivatives of the Lagrangian and of the optimum.
 
         It is negative for a maximum. In case S it divides by the goal probability.
         """
@@ -503,7 +503,7 @@ class _Optimum:
         return model if isinstance(model, ProductSSP) and model.is_hidden else None
 
     def _stated(self, per_outcome: FloatArray) -> FloatArray:
-        """Sum numbers over the steps of a horizon: by outcome of the user's model, [outcomes]."""
+        """Return sums over the steps of a horizon, for each outcome of the user's model."""
         if (counting := self.counting_steps) is None:
             return per_outcome
         places, size = counting.original_outcome, counting.original.n_outcomes
@@ -532,7 +532,8 @@ class _Optimum:
 
         Four conditions are sufficient: every optimal pair of a visited state is used; the number of
         these pairs is the number of visited states plus the number of tight rows; every tight row
-        has a price; and no charge of failing is attained by two actions.
+        has a price; and where failing is charged like an action, no other action of the state costs
+        the same.
         """
         unused = (self.best & (self.measure.visits <= ROUNDING)).any()
         alone = self.has_one_price and self._priced == {*self.tight} and not unused

@@ -331,7 +331,7 @@ class LayeredPricing(PricingProblem):
     def _proof(
         self, price: float, failing: float, values: FloatArray, choice: IntArray | None = None
     ) -> Proof:
-        """Lower values to a checked sub-solution by a backward sweep from the bound beyond the cap.
+        """Reduce values to a checked sub-solution, by a backward sweep from bounds beyond the cap.
 
         Args:
             price: of failure.

@@ -247,7 +247,7 @@ class PartitionedModel:
         return self.ranks.together(measured)
 
     def _stated(self, criterion: type[Any], asked: Mapping[str, Any]) -> Formulation:
-        """State a problem on the rank's part of the model, extended by the states that it names.
+        """Build a problem on the rank's part of the model, extended by the states that it names.
 
         Raises:
             ModelError: the ranks state different problems, or the problem needs the whole graph.

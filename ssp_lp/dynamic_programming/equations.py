@@ -60,7 +60,7 @@ class System:
     """Equations of a substochastic chain, given by its transitions and its exits."""
 
     def __init__(self, matrix: sp.csr_array, exits: FloatArray) -> None:
-        """State the equations.
+        """Set up the equations.
 
         Args:
             matrix: probabilities of going on, [states, states].

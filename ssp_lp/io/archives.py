@@ -407,7 +407,7 @@ def _policy_in(
     parts: list[AnyPolicy] = []
 
     def meant(value: Any) -> Any:
-        """Return a field from its JSON value: an array by name, policies by number, or a number."""
+        """Return a field's value: a named array, policies with listed numbers, or a number."""
         if isinstance(value, str):
             return arrays[value]
         if isinstance(value, list):

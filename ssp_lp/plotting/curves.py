@@ -233,11 +233,11 @@ class BoundsRecord:
 def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = None) -> Axes:
     """Plot the upper and lower bound of the optimum against seconds.
 
-    The upper bound is the objective of the best policy so far. The lower bound is the best one that
-    the pricing calls so far prove: each call is repeated at its price, with accumulated costs
-    capped as in a linear program. The last point shows the bounds of the solution. Lower bounds
-    before the last one are drawn only for a cost that is minimised within a failure budget, without
-    other limits.
+    The upper bound is the objective of the best policy so far. The lower bound is the greatest one
+    that the prices so far prove: for each price, one pricing problem is solved for the plot, on the
+    process that the linear program would have, with its cap on the accumulated cost. The last point
+    shows the bounds of the solution. Lower bounds before the last one are drawn only for a cost
+    that is minimised within a failure budget, without other limits.
 
     Args:
         record: record of the reports of ``solve``.

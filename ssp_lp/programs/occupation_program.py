@@ -622,7 +622,7 @@ class OccupationProgram(Report):
         return max(priced_minimum(self.process, priced).bound - paid, 0.0)
 
     def to_cvxpy(self) -> ConvexProgram:
-        """State the program in cvxpy, to add convex objectives and constraints."""
+        """Write the program in cvxpy, to add convex objectives and constraints."""
         from ssp_lp.programs.convex_program import ConvexProgram
 
         return ConvexProgram(self)
