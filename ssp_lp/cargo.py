@@ -77,7 +77,7 @@ class Cargo:
         """Begin without models.
 
         Args:
-            content: of the file, if another process wrote it.
+            content: content of the file, if another process wrote it.
         """
         self._content = memoryview(content)
         self._models: dict[int, SSP] = {}  # place -> model

@@ -118,7 +118,7 @@ def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]
 
 @dataclass(frozen=True, eq=False)
 class StepClasses:
-    """The class of each step by its cost: its number of units, or the index of its cost."""
+    """Classes of steps: the number of units in a step's cost, or the index of this cost."""
 
     unit: Fraction
     ahead: IntArray  # [outcomes] class of each counted outcome; 0 for others

@@ -358,7 +358,7 @@ def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
 
 
 def first_cap(base: AccumulatedCost, charge: Charge, typical: float, fixed: float | None) -> int:
-    """Return a first cap in layers: until the charge is affine, and further if it grows then.
+    """Return a first cap in layers: where the charge is affine, or later if it then still grows.
 
     Args:
         base: one layer of the process.

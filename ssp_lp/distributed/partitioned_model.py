@@ -346,8 +346,7 @@ class _Checkpoint:
         for one in self._earlier[-_AGAIN:]:
             policy = PartitionedPolicy.load(self._part, one)
             if policy.told["question"] != self._question:
-                told = f"{self._folder} answers another question, {policy.told['question']}"
-                raise ModelError(f"{told}: name another folder")
+                raise ModelError(f"the checkpoint is of {policy.told['question']}: name another")
             process.earlier.append(process.evaluated(policy.positions[0]))
             prices = policy.told["prices"]
         return DualGuess(prices[1], _SURE) if prices[0] == 1.0 and prices[1] > 0.0 else None

@@ -323,7 +323,7 @@ class _Tree:
 
         Args:
             rewards: cost, failure and goal, [pairs, 3].
-            price: of failure.
+            price: price of failure.
             choice: the policy from which policy iteration starts, [states].
         """
         weights = np.array([1.0, price, 0.0])

@@ -545,7 +545,7 @@ class _ColumnPoints:
         """Return the dual bound at a price, cached.
 
         Args:
-            price: of failure.
+            price: price of failure.
             column: a policy that is optimal, or nearly so, at this price.
             slack: use the form ``cost - price * goal`` (:class:`Proof`).
         """

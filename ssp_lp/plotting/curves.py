@@ -54,8 +54,8 @@ def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axe
 
     Args:
         ax: axes of matplotlib; None: a new figure.
-        width: of the new figure, in inches.
-        height: of the new figure, in inches.
+        width: width of the new figure, in inches.
+        height: height of the new figure, in inches.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.

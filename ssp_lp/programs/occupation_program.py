@@ -554,7 +554,7 @@ class OccupationProgram(Report):
         is a lower bound of the program. It bounds the problem if no column is missing.
 
         Args:
-            prices: of the rows, by name, >= 0.
+            prices: prices of the rows, by name, >= 0.
             ratio: in case S a value near the optimum.
         """
         least_worth = _TRIFLE * float(np.abs(self.process.cost).max(initial=0.0))
