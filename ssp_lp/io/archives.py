@@ -296,7 +296,7 @@ def load_model(path: FilePath) -> SSP:
             for name in ("states", "actions")
         )
         if states is not None and len(states) != n_states:
-            raise ModelError("the names of states must be one for each")
+            raise ModelError("there must be one name for each state")
         if actions is not None:
             actions = _named_in_archive(actions, arrays["pair_action"], "actions")
         labels_of_states = range(n_states) if states is None else states

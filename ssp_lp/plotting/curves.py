@@ -415,7 +415,7 @@ def plot_parameter(solutions: Iterable[object], name: str, *, ax: Axes | None = 
     solved = [one for one in solutions if isinstance(one, Solution)]
     solved = [one for one in solved if name in one.problem.model.parameters]
     if len(solved) < 2:
-        raise ModelError(f"a curve over parameter {name!r} needs two solutions of models with it")
+        raise ModelError(f"give solutions of two or more models with the parameter {name!r}")
     solved.sort(key=lambda one: one.problem.model.parameters[name].value)
     at = np.array([one.problem.model.parameters[name].value for one in solved])
     optima = np.array([one.objective for one in solved])

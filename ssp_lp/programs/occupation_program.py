@@ -306,7 +306,7 @@ class OccupationProgram(Report):
             ModelError: there is no such pair; the scale t of case S has no label.
         """
         if not 0 <= column < self.process.n_pairs:
-            raise ModelError(f"no pair has column {column}; pairs: {self.process.n_pairs:,}")
+            raise ModelError(f"no pair has column {column}: pass 0 .. {self.process.n_pairs - 1:,}")
         label = self.augmented.label(int(self.augmented.part.pairs[column]))
         if label.action is GIVE_UP and self.reduced is not None:
             merged = self.reduced.program.augmented.quotient.merged
