@@ -67,7 +67,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 class Cargo:
-    """Problems and answers in transit; their models are in a file and are named by their places.
+    """Problems and answers in transit; their models are stored in a file, and named by place.
 
     For each model the file holds the arrays, aligned, so that any process can map them. Then, at
     the model's place, follow its pickle without the arrays, and the offsets of the arrays.
