@@ -478,7 +478,7 @@ class _Crew:
             answer: Answer = self._cargo.unpack(packed)
             return answer
         if place in self._without_file:
-            return SolverError("the worker could not read the models that were sent to it")
+            return SolverError("a worker could not read its models: pass the problem to solve")
         self._without_file.add(place)
         self._waiting.appendleft(place)
         return None

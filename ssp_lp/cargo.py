@@ -67,7 +67,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 class Cargo:
-    """Problems and answers in transit; their models are in a file and are named by their places.
+    """Problems and answers in transit; their models are stored in a file, and named by place.
 
     For each model the file holds the arrays, aligned, so that any process can map them. Then, at
     the model's place, follow its pickle without the arrays, and the offsets of the arrays.
@@ -77,7 +77,7 @@ class Cargo:
         """Begin without models.
 
         Args:
-            content: of the file, if another process wrote it.
+            content: content of the file, if another process wrote it.
         """
         self._content = memoryview(content)
         self._models: dict[int, SSP] = {}  # place -> model
@@ -115,7 +115,7 @@ class Cargo:
         try:
             pickler.dump(thing)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise ModelError(f"the problem cannot be sent to another process: {error}") from error
+            raise ModelError(f"the problem cannot be pickled, pass it to solve: {error}") from error
         return stream.getvalue()
 
     def unpack(self, packed: bytes, buffers: Iterable[memoryview] = ()) -> Any:

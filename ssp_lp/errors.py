@@ -242,7 +242,7 @@ def check_call(name: str, form: Signature, given: Sequence[object], named: Colle
     """Check that the arguments of a call exist, are given once, and are complete.
 
     Args:
-        name: of the function.
+        name: name of the function.
         form: its signature.
         given: arguments by their places, ``self`` among them where the signature has it.
         named: names of the other arguments.

@@ -298,7 +298,7 @@ class Formulation(Problem):
         """
         measure = None if self.quantity is None else arrival_measure(self.quantity)
         if measure is not None and (self.discount is not None or not self.ratio):
-            flaw = "has no discount" if self.ratio else "is counted given success: set ratio = True"
+            flaw = "supports no discount" if self.ratio else "must be given success: ratio = True"
             raise ModelError(f"{type(self).__name__}: an arrival cost {flaw}")
         return measure
 

@@ -443,7 +443,7 @@ def check_measures(problem: Problem) -> None:
                         ("a discount", problem.discount is not None),
                         ("constraints", problem.has_rows)):  # fmt: skip
         if given:
-            raise ModelError(f"boxes do not support {word}: state the problem without")
+            raise ModelError(f"boxes do not support {word}: leave it out of the problem")
 
 
 def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
@@ -501,7 +501,7 @@ def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
 
 
 def as_float(value: Any) -> Any:
-    """Return a problem's argument as a float if it is a fraction or numpy's, else unchanged."""
+    """Return fractions and numbers of numpy as floats, and other arguments unchanged."""
     return value if type(value) in (bool, int, float) or not is_number(value) else float(value)
 
 

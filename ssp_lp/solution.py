@@ -531,8 +531,8 @@ def gap_of_least_failure(failure: float, bound: float | None) -> float:
     """Return the relative gap of a goal probability and its upper bound; rounding counts as 0.
 
     Args:
-        failure: of the policy.
-        bound: of every policy's failure; None: the problem does not ask for least failure.
+        failure: failure probability of the policy.
+        bound: bound of every policy's failure; None: the problem does not ask for least failure.
     """
     proved = failure if bound is None else bound
     return relative_gap(1.0 - proved, 1.0 - failure) if failure - proved > ROUNDED else 0.0

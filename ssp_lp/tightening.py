@@ -94,7 +94,7 @@ def tighten(
 
     Args:
         problem: ``MCMP`` with a failure budget.
-        box: of the problem's model.
+        box: box of the problem's model.
         tolerance: relative gap at which to stop, and distance below which two prices count as
             equal.
         time_limit: seconds after which the best lottery so far is returned.

@@ -262,7 +262,7 @@ def with_property(asked: Asked) -> Asked:
     reaching = [one for one in operators if (one.measure, one.relation) == ("P", ">=")]
     goals = {one.target for one in (objective, *reaching) if one.target is not None}
     if len(goals) != 1:
-        raise ModelError(f"{words}: one goal must be reached, not {sorted(goals)}")
+        raise ModelError(f"{words}: =? and P>= must name one goal, [F ...], not {sorted(goals)}")
     if (objective.measure, objective.relation) not in {("P", "max=?"), ("R", "min=?")}:
         raise ModelError(f"{objective.words}: the objective must be Pmax=? or Rmin=?")
     (goal,) = goals

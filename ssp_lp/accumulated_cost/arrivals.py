@@ -419,7 +419,7 @@ class Arrivals:
         return arrived + self._ahead(layer)[0] if layer > self.settled and self.leaps else arrived
 
     def first_reaching(self, mass: float) -> int:
-        """Return the unsettled layer in which all arrivals so far reach a mass.
+        """Return the unsettled layer up to which the arrivals together reach a mass.
 
         :attr:`leaps` must be true.
 

@@ -90,7 +90,7 @@ class TailValues(NamedTuple):
         return TailValues(*[each[number] for each in self])
 
     def chosen(self, last: BoolArray) -> TailValues:
-        """Return the last policy's values where ``last`` is true, elsewhere the first policy's.
+        """Return values of the last policy where ``last`` is true, elsewhere of the first policy.
 
         The arrays have the shape of ``last``.
         """
@@ -178,7 +178,7 @@ class LateCharge(Charge):
     offset = 1.0  # charge beyond the bound
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return the charge within the bound or beyond it, in the shape of ``totals``."""
+        """Return 0 within the bound and 1 beyond it, in the shape of ``totals``."""
         return np.where(np.asarray(totals) <= self.settled, self.lowest, self.offset)
 
     @property
@@ -250,7 +250,7 @@ class Measure(ABC):
 
 
 class Reward(Charge, Measure):
-    """A maximised expectation. As a charge it is minus the worth of success relative to failure."""
+    """A maximised expectation; its charge is the worth of failing minus that of success."""
 
     maximised = is_expectation = True
 

@@ -252,7 +252,7 @@ class CostLaw:
             ModelError: the mass is not above 0.
         """
         if not float(mass) > 0.0:
-            raise wrong_argument("mass", "be above 0", mass, ": the support may be infinite")
+            raise wrong_argument("mass", "be above 0", mass, ": give a small one, such as 1e-9")
 
         def atoms(arrivals: Arrivals) -> Atoms:
             """Return the atoms except the last ones."""

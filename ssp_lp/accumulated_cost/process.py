@@ -403,11 +403,11 @@ class LayeredProcess(ChargedLayers):
         """Return the accumulated cost from which the last tail is no worse than the first, [nodes].
 
         The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
-        cost_k) + offset * goal_k. The result is in units. It is -infinity instead of a cost up to
-        the cap, so that equal rules have equal results.
+        cost_k) + offset * goal_k. The result is in units; -infinity stands for any cost up to the
+        cap, so that tails chosen in the same way have equal thresholds.
 
         Args:
-            price: of failure.
+            price: price of failure.
         """
         charge, first, last = self.charge, self.tails.first, self.tails.values.row(-1)
         saved = charge.slope * (first.early - last.early)
@@ -430,7 +430,7 @@ class LayeredProcess(ChargedLayers):
         """Return the value of the tail chosen at a price of failure, [layers, nodes].
 
         Args:
-            price: kappa.
+            price: price of failure, kappa.
             failing: weight of failure, kappa or 0; the weight of the goal is failing - kappa.
         """
         charge, failure, goal = np.moveaxis(self.measures_beyond(price), -1, 0)
@@ -444,7 +444,7 @@ class LayeredProcess(ChargedLayers):
         r + (kappa - r) F). It is exact where failing is optimal and possible.
 
         Args:
-            failure_price: kappa.
+            failure_price: price of failure, kappa.
             failing: weight of failure, kappa or 0; the weight of the goal is failing - kappa.
         """
         tails, totals = self.tails, self.totals.beyond[:, None]

@@ -118,7 +118,7 @@ def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]
 
 @dataclass(frozen=True, eq=False)
 class StepClasses:
-    """The class of each step by its cost: its number of units, or the index of its cost."""
+    """Classes of steps: the number of units in a step's cost, or the index of this cost."""
 
     unit: Fraction
     ahead: IntArray  # [outcomes] class of each counted outcome; 0 for others
@@ -503,7 +503,7 @@ class Resolution:
         return Totals(read_only(np.linspace(0.0, cap, size + 1)), steps)
 
     def up_to(self, total: float) -> Resolution:
-        """Return the resolution with a cap, if it has none, at a total where failing is optimal."""
+        """Return the resolution; without a cap, cap it above a total where failing is optimal."""
         return replace(self, cap=CAP_MARGIN * total) if self.cap is None and total > 0.0 else self
 
     def finer(self, totals: Totals, enough: float | None, most: int) -> Resolution | None:

@@ -76,7 +76,7 @@ def _entered_process(
 
     Args:
         base: one layer.
-        steps: transitions of all pairs except the source's, in order, [some pairs, states] each.
+        steps: transitions of all pairs but that of the source, in order, [some pairs, states] each.
         n_pairs: number of pairs of each state except the source, [states - 1].
         rewards: cost, failure and goal, [pairs + 1] each.
     """
@@ -207,7 +207,7 @@ class OpenEnded(ChargedLayers):
         return reachable_part(process, start)
 
     def everywhere(self, per_pair: FloatArray, at_source: float) -> FloatArray:
-        """Repeat a layer's numbers for all layers, and append the source's, [process pairs].
+        """Repeat a layer's numbers for all layers, and append one for the source, [process pairs].
 
         Args:
             per_pair: a number for each pair of a layer, [pairs].
@@ -358,7 +358,7 @@ def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
 
 
 def first_cap(base: AccumulatedCost, charge: Charge, typical: float, fixed: float | None) -> int:
-    """Return a first cap in layers: until the charge is affine, and further if it grows then.
+    """Return a first cap in layers: where the charge is affine, or later if it then still grows.
 
     Args:
         base: one layer of the process.

@@ -617,7 +617,7 @@ def _check_giving_up(chain: Chain, problem: Problem) -> None:
     if forbidden.any():
         state = chain.model.states[int(chain.state[int(np.argmax(forbidden))])]
         raise ModelError(
-            f"the policy gives up in state {state!r}, but give_up={str(semantics.give_up)!r}"
+            f"the policy gives up in state {state!r}: give_up={str(semantics.give_up)!r} forbids it"
         )
 
 

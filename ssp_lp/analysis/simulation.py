@@ -79,7 +79,7 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
 
     Args:
         sample: costs in [0, most], independent and identically distributed.
-        confidence: of the interval, with half of the error on either side.
+        confidence: confidence of the interval, with half of the error on either side.
         most: greatest cost that can occur.
 
     Reference:

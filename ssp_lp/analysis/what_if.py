@@ -231,7 +231,7 @@ class _Optimum:
 
     @cached_property
     def scale(self) -> float:
-        """Factor that turns the Lagrangian's derivative into the optimum's.
+        """Factor between the derivatives of the Lagrangian and of the optimum.
 
         It is negative for a maximum. In case S it divides by the goal probability.
         """
@@ -368,7 +368,7 @@ class _Optimum:
         wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
         if wrong.any():
             label = self.measure.program.label(int(own[np.argmax(wrong)]))
-            raise ModelError(f"no derivatives: the outcomes of {label} do not add up to its value")
+            raise ModelError(f"the value of {label} is too rough for derivatives: round the costs")
         return own[each], outcome, place, worth
 
     @cached_property
@@ -503,7 +503,7 @@ class _Optimum:
         return model if isinstance(model, ProductSSP) and model.is_hidden else None
 
     def _stated(self, per_outcome: FloatArray) -> FloatArray:
-        """Sum numbers over the steps of a horizon: by outcome of the user's model, [outcomes]."""
+        """Return sums over the steps of a horizon, for each outcome of the user's model."""
         if (counting := self.counting_steps) is None:
             return per_outcome
         places, size = counting.original_outcome, counting.original.n_outcomes
@@ -532,7 +532,8 @@ class _Optimum:
 
         Four conditions are sufficient: every optimal pair of a visited state is used; the number of
         these pairs is the number of visited states plus the number of tight rows; every tight row
-        has a price; and no charge of failing is attained by two actions.
+        has a price; and where failing is charged like an action, no other action of the state costs
+        the same.
         """
         unused = (self.best & (self.measure.visits <= ROUNDING)).any()
         alone = self.has_one_price and self._priced == {*self.tight} and not unused
@@ -664,7 +665,7 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
         raise
     if 2.0 * seconds_left() < limit:
         raise Stop  # the limit has cut the solver short of a vertex
-    raise SolverError("interior points alone solved the program: their prices are too rough")
+    raise SolverError("the LP solver found no vertex, whose prices are needed: round the costs")
 
 
 def _facts(model: SSP) -> dict[str, Any]:

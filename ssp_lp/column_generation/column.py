@@ -103,7 +103,7 @@ def required(part: _Array | None) -> _Array:
         ModelError: the column has none, since it was not made by pricing.
     """
     if part is None:
-        raise ModelError("the column has no choice or totals: the pricing problem did not make it")
+        raise ModelError("no choice or totals: pass a column that the pricing problem made")
     return part
 
 
@@ -147,7 +147,7 @@ class PricingProblem(ABC):
         """Solve the pricing problem: return a column of least priced cost, evaluated exactly.
 
         Args:
-            price: of failure, or the weight of each reward, [rewards].
+            price: price of failure, or the weight of each reward, [rewards].
             warm: policies to start from, the presumably nearest first; None entries are ignored.
 
         Raises:
@@ -156,7 +156,7 @@ class PricingProblem(ABC):
 
     @property
     def covered(self) -> float:
-        """Price of failure up to which one pricing call solves for all lower prices; 0: none."""
+        """Greatest price of failure at which a pricing call also solves lower prices; 0: none."""
         return 0.0
 
     def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
@@ -186,7 +186,7 @@ class PricingProblem(ABC):
         """Prove a dual bound: a lower bound of the priced value of every column.
 
         Args:
-            price: of failure, or the weight of each reward, [rewards].
+            price: price of failure, or the weight of each reward, [rewards].
             best: an optimal policy at this price.
             slack: use the form ``cost - price * goal`` (:class:`Proof`).
         """
@@ -203,7 +203,7 @@ class PricingProblem(ABC):
         bound the priced value of every policy from below.
 
         Args:
-            price: of failure.
+            price: price of failure.
             values: near-optimal values, of shape ``value_shape``.
             slack: use the form ``cost - price * goal`` (:class:`Proof`).
 
@@ -347,6 +347,6 @@ def least_of(lower_bound: float, objective: float) -> float:
     if lower_bound > objective + CONTRADICTION * max(abs(objective), abs(lower_bound)) + _TINY:
         raise SolverError(
             f"the value of a policy, {objective!r}, lies below the lower bound of all policies, "
-            f"{lower_bound!r}: the model is too ill-conditioned for double precision"
+            f"{lower_bound!r}: runs are too long for double precision; try a discount"
         )
     return min(lower_bound, objective)

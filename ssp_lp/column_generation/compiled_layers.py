@@ -92,7 +92,7 @@ class LayeredPricing(PricingProblem):
 
     @property
     def covered(self) -> float:
-        """Price of failure up to which one sweep solves for all lower prices; 0: for none."""
+        """Greatest price of failure at which one sweep also solves all lower prices; 0: none."""
         return float(self._paid[-1]) if self.is_shifted else 0.0
 
     @cached_property
@@ -220,7 +220,7 @@ class LayeredPricing(PricingProblem):
         avoided. The bound beyond the cap is therefore exact there.
 
         Args:
-            price: of failure.
+            price: price of failure.
             choice: filled with the choice of the column, [cap, nodes].
         """
         priced = at_price(self.sweep, price, 0.0, bounds=True)
@@ -306,7 +306,7 @@ class LayeredPricing(PricingProblem):
         tail policies are optimal.
 
         Args:
-            price: of failure.
+            price: price of failure.
             slack: as in :meth:`check`.
             proof: a proof at this price; if its bound is as high, the loss is 0.
         """
@@ -331,10 +331,10 @@ class LayeredPricing(PricingProblem):
     def _proof(
         self, price: float, failing: float, values: FloatArray, choice: IntArray | None = None
     ) -> Proof:
-        """Lower values to a checked sub-solution by a backward sweep from the bound beyond the cap.
+        """Reduce values to a checked sub-solution, by a backward sweep from bounds beyond the cap.
 
         Args:
-            price: of failure.
+            price: price of failure.
             failing: the price, or 0 for the form ``cost - price * goal`` (:class:`Proof`).
             values: upper limits of the result, [cap, nodes].
             choice: filled with the choice that attains the bound, [cap, nodes], or None.
@@ -435,7 +435,7 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def is_long_shot(self) -> bool:
-        """Whether the easily found policy to the goal is too long for its cost to give a cap."""
+        """Whether runs of the easily found policy to the goal are too long to give a cap."""
         layer, facts = self.layer, self.facts
         is_guess = self.cap is None and self.fixed_cap is None and self.tails is Tails.ANY_WAY
         if not is_guess or layer.base.quotient.merged.any():

@@ -173,7 +173,7 @@ class ExplicitPricing(PricingProblem):
         """Return a policy from which policy iteration starts, and its approximate totals.
 
         Args:
-            weights: of the rewards, [rewards].
+            weights: weights of the rewards, [rewards].
             warm: known columns, whose policies are combined.
 
         Returns:
@@ -261,7 +261,7 @@ class ExplicitPricing(PricingProblem):
         every policy from below.
 
         Args:
-            price: of failure, or the weight of each reward, [rewards].
+            price: price of failure, or the weight of each reward, [rewards].
             values: near-optimal values, [states].
             slack: has no effect here.
             choice: a policy of about these values, which may save work, [states].
@@ -281,7 +281,7 @@ class ExplicitPricing(PricingProblem):
         """Return checked lower bounds of the weighted totals of every policy, near given values.
 
         Args:
-            weights: of the rewards, >= 0, [rewards].
+            weights: weights of the rewards, >= 0, [rewards].
             values: near-optimal values, [states].
             choice: a policy of about these values that ends every run, [states], or None.
         """
@@ -307,7 +307,7 @@ class ExplicitPricing(PricingProblem):
         cancellation: the price of failure ``ratio`` is replaced by a reward of success.
 
         Args:
-            weights: of the rewards, >= 0, without the ratio, [rewards].
+            weights: weights of the rewards, >= 0, without the ratio, [rewards].
             ratio: price of failure due to the ratio of case S.
             paid: amount that every episode pays at its end.
             values: lower bounds of the weighted totals, including ``ratio``, [states].
@@ -350,7 +350,7 @@ def _noise(weights: FloatArray, columns: Sequence[Column | None]) -> float:
     It is positive only if weighted rewards of both signs cancel.
 
     Args:
-        weights: of the rewards, [rewards].
+        weights: weights of the rewards, [rewards].
         columns: known columns; the first with all rewards gives the size of the summands.
     """
     measured = (column for column in columns if column is not None)

@@ -124,7 +124,7 @@ class OpenEndedPricing(PricingProblem):
 
         Args:
             last: the policy of the last layer, with its totals.
-            weights: of the rewards that the sweep minimises, [rewards]; None: all layers act as the
+            weights: weights of the rewards to minimise, [rewards]; None: all layers act as the
                 last one.
         """
         totals, position = required(last.totals), required(last.choice) - self.sweep.first_pairs
@@ -175,7 +175,7 @@ class OpenEndedPricing(PricingProblem):
         """Return the dual bound that values prove, after lowering them where necessary.
 
         Args:
-            weights: of the rewards, [rewards].
+            weights: weights of the rewards, [rewards].
             values: near-optimal or infinite values, [states].
             best: a nearly optimal column, which saves work if values are infinite, or None.
         """
@@ -285,7 +285,7 @@ def swept(
     Args:
         sweep: the backward sweeps.
         last: positions of the pairs taken in the last layer, [nodes].
-        weights: of the rewards that the sweep minimises, [rewards]; None: take ``last`` everywhere.
+        weights: weights of the rewards to minimise, [rewards]; None: take ``last`` everywhere.
         totals: totals of the last layer that the sweep minimises with, [nodes, rewards].
         measures: exact totals in each layer beyond the cap, [layers, nodes, rewards].
     """

@@ -333,7 +333,7 @@ class Master:
 
         Args:
             limit: the failure row.
-            weights: of the rewards at which the bound is proved, [rewards].
+            weights: weights of the rewards at which the bound is proved, [rewards].
             best: an optimal policy at these weights.
             began: time at which the pricing call of ``best`` began, by ``time.perf_counter``.
         """
@@ -642,7 +642,7 @@ class Rows:
         """Return the weight of each reward, [rewards].
 
         Args:
-            prices: of the rows, [rows].
+            prices: prices of the rows, [rows].
             cost: weight of the cost; 0 in phase 1.
         """
         weights = np.zeros(self.n_rewards)
@@ -684,7 +684,7 @@ class Pool:
         """Solve the pricing problem at the weights, starting from known columns.
 
         Args:
-            weights: of the rewards, [rewards].
+            weights: weights of the rewards, [rewards].
             warm: columns to start from, by default the pool's best one; None entries are ignored.
         """
         began = time.perf_counter()

@@ -574,7 +574,7 @@ def lower_in_order(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, order: Array,
     cost: Array, epsilon: float, values: Array,
 ) -> None:  # fmt: skip
-    """Lower values of a process without cycles until none exceeds its backup.
+    """Reduce the values of a process without cycles until none exceeds its backup.
 
     Args:
         offsets: [states + 1].

@@ -138,7 +138,7 @@ def _measure(
 def _lower(
     layers: Any, one: OneLayer, row: Any, values: Array, within: Array,
 ) -> None:  # fmt: skip
-    """Lower the values of a layer until none exceeds its backup, rounded down.
+    """Reduce the values of a layer until none exceeds its backup, rounded down.
 
     If free steps have cycles, some sweeps lower each value to its backup. The greatest remaining
     excess, times a bound of the steps within a layer, is then subtracted from all values. After
@@ -308,11 +308,12 @@ def sweep_blocks(
         weight: weight of the charge.
         owed: as in ``sweep_layers``.
         saved: as in ``sweep_layers``.
-        values: of the layers, written, and of later layers, given, [nodes, all layers].
+        values: values of all layers: those of the swept layers are written, those of later layers
+            are read, [nodes, all layers].
         measured: measures of the same layers, [1 + counted, nodes, all layers]; no nodes: not
             computed.
         position: the choice among each node's pairs, [layers, nodes].
-        keeps: whether the choice is given; values are then not used.
+        keeps: whether the choice is given; then only ``measured`` is computed, without values.
         is_bound: whether lower bounds are computed, rounded down, rather than least values.
         given: numbers that lower bounds must not exceed, [layers, nodes]; empty: no limits.
     """

@@ -247,7 +247,7 @@ class PartitionedModel:
         return self.ranks.together(measured)
 
     def _stated(self, criterion: type[Any], asked: Mapping[str, Any]) -> Formulation:
-        """State a problem on the rank's part of the model, extended by the states that it names.
+        """Build a problem on the rank's part of the model, extended by the states that it names.
 
         Raises:
             ModelError: the ranks state different problems, or the problem needs the whole graph.
@@ -331,7 +331,7 @@ class _Checkpoint:
         def found(folder: Path) -> list[Path]:
             """Return the folders of complete policies."""
             if not folder.parent.is_dir() or folder.is_file():
-                raise ModelError(f"checkpoint {folder} must be a folder in an existing folder")
+                raise ModelError(f"checkpoint {folder} must be a folder, and its parent must exist")
             return sorted(one.parent for one in folder.glob("*/policy.npz"))
 
         self._earlier = part.halo.ranks.agreed(lambda: found(Path(folder)) if folder else [])
@@ -346,7 +346,7 @@ class _Checkpoint:
         for one in self._earlier[-_AGAIN:]:
             policy = PartitionedPolicy.load(self._part, one)
             if policy.told["question"] != self._question:
-                raise ModelError(f"{self._folder} has another question: {policy.told['question']}")
+                raise ModelError(f"the checkpoint is of {policy.told['question']}: name another")
             process.earlier.append(process.evaluated(policy.positions[0]))
             prices = policy.told["prices"]
         return DualGuess(prices[1], _SURE) if prices[0] == 1.0 and prices[1] > 0.0 else None

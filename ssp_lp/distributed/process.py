@@ -83,7 +83,7 @@ class _Equations:
     """Equations ``x = right + rows @ x`` of a policy, solved by all ranks together."""
 
     def __init__(self, process: PartitionedProcess, choice: IntArray, values: FloatArray) -> None:
-        """State the equations of a policy.
+        """Set up the equations of a policy.
 
         Args:
             process: the process.
@@ -318,7 +318,7 @@ class PartitionedProcess(PricingProblem):
         return np.where(better, backup.choice, choice).astype(np.int32)
 
     def _weights(self, price: float | FloatArray) -> FloatArray:
-        """Return weights of all rewards from a price of failure, or from weights of the first."""
+        """Return the weights of all rewards, given a price of failure or the first weights."""
         weights = pricing_weights(price)
         return np.append(weights, np.zeros(self.n_rewards - len(weights)))
 
@@ -343,7 +343,7 @@ class PartitionedProcess(PricingProblem):
         return full[:n]
 
     def _leaving_equations(self, choice: IntArray, values: FloatArray) -> _Equations:
-        """State the equations of a policy; nodes that never leave follow ``_leaving`` instead."""
+        """Set up the equations of a policy; nodes that never leave follow ``_leaving`` instead."""
         equations = _Equations(self, choice, values)
         closed = ~equations.leading(equations.moves.exits > 0.0)
         if not self.ranks.any(closed):
@@ -391,7 +391,7 @@ class PartitionedProcess(PricingProblem):
         return self._measured(_Equations(self, choice, nothing[:, 0]), nothing, cost)
 
     def _measured(self, equations: _Equations, guess: FloatArray, weights: FloatArray) -> Column:
-        """Evaluate the policy whose equations are stated, as a column.
+        """Return the column of the policy that the equations belong to.
 
         Args:
             equations: equations of the policy, with its values at these weights.
@@ -427,7 +427,7 @@ class PartitionedProcess(PricingProblem):
         return self.prove(weights, self.minimise(weights, warm))
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower values to a checked sub-solution, and return the lower bound that it proves.
+        """Reduce values to a checked sub-solution, and return the lower bound that it proves.
 
         Args:
             price: price of failure, or weights of the rewards.
@@ -447,7 +447,7 @@ class PartitionedProcess(PricingProblem):
         return Proof(float(weights[1]), float(weights[1]), bound, values)
 
     def _lowered(self, weights: FloatArray, values: FloatArray) -> FloatArray:
-        """Lower values to a sub-solution that a backup of all rows confirms, [own nodes].
+        """Reduce values to a sub-solution that a backup of all rows confirms, [own nodes].
 
         The values move towards a constant sub-solution by a share s, which leaves a slack of s * g
         at a step of cost g. The least s that suffices is used. At steps of cost 0 there is no

@@ -48,7 +48,7 @@ class Ranks:
         raise ModelError("objects of several ranks cannot be pickled: use answer.policy.save()")
 
     def caught(self, make: Callable[[], Any]) -> Any:
-        """Run a function; return its result, or its error converted to one of the library's."""
+        """Run a function and return its result; convert its error to an error of the library."""
         try:
             return make()
         except SSPError as error:
@@ -208,7 +208,7 @@ class Halo:
         choice = np.full(graph.n_states, -1)
 
         def sweep(reached: BoolArray) -> BoolArray:
-            """Choose pairs that leave, or that lead to states with a chosen pair."""
+            """Choose ``leaving`` pairs, and pairs that lead to states with a chosen pair."""
             nearer = nearer_pairs(graph, leaving | pairs_into(graph, reached))
             choice[:] = np.where(choice < 0, nearer, choice)
             return reached | (choice >= 0)

@@ -150,10 +150,10 @@ class LargeComponent:
         order, width = self._band
         is_compiled = accelerated(_MOST_BAND_WORK, *_ELIMINATION)  # there is no numpy twin
         if not is_compiled or len(order) * width**2 > _MOST_BAND_WORK:
-            hint = "" if is_compiled else ": install numba, pip install '.[fast]'"
+            hint = "try a discount" if is_compiled else "install numba, pip install '.[fast]'"
             raise SolverError(
                 "a policy leaves the process too rarely to compute its totals in double "
-                f"precision{hint}"
+                f"precision: {hint}"
             )
         exits, right = self._leaving / self._departs, self._right(rewards, x)
         x[self._states] = band_solver(self._own, exits, order, width)(right)
@@ -279,7 +279,7 @@ class Iteration:
             if relative <= target:
                 return True
             if not np.isfinite(relative):
-                raise SolverError("a policy's totals overflow")
+                raise SolverError("the totals of a policy overflow: scale the costs down")
             judged = len(changes) >= _TRIAL
             if judged and relative > _CONTRACTION**_TRIAL * changes[-_TRIAL]:
                 return False

@@ -93,7 +93,7 @@ def dual_bound(
     start: FloatArray | None = None,
     least_loss: float | None = None,
 ) -> DualBound:
-    """Lower given values as little as possible to a checked sub-solution.
+    """Reduce given values as little as possible to a checked sub-solution.
 
     If runs are very long, even values that are optimal to rounding would have to be lowered by more
     than rounding. Such values are recomputed in twice the working precision.
@@ -141,7 +141,7 @@ def dual_bound(
 def sub_solution(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float = 0.0
 ) -> FloatArray:
-    """Lower given values to a sub-solution that is checked in working precision.
+    """Reduce given values to a sub-solution that is checked in working precision.
 
     Args:
         dynamics: the process.
@@ -214,7 +214,7 @@ def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> 
 def lowered_along_longest_run(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float, choice: IntArray
 ) -> FloatArray | None:
-    """Lower values v to a sub-solution along the worst near-optimal policy.
+    """Reduce values v to a sub-solution along the worst near-optimal policy.
 
     The cost of a step is taken as its pair's advantage, minus a few times the greatest lack. If w
     are the least expected totals of these costs, ``v + w`` is a sub-solution. In a process without
@@ -259,7 +259,7 @@ def lowered_to_backups(
     lack: FloatArray,
     floor: float,
 ) -> FloatArray:
-    """Lower values until none exceeds its backup; ``lack`` is their shortfall, [states]."""
+    """Reduce values to a sub-solution; ``lack``, [states], is their excess over their backups."""
     if not lack.any():
         return values
 

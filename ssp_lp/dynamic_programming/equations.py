@@ -60,7 +60,7 @@ class System:
     """Equations of a substochastic chain, given by its transitions and its exits."""
 
     def __init__(self, matrix: sp.csr_array, exits: FloatArray) -> None:
-        """State the equations.
+        """Set up the equations.
 
         Args:
             matrix: probabilities of going on, [states, states].
@@ -353,6 +353,6 @@ def strong_components(
     label = sp.csgraph.connected_components(edges, connection="strong")[1]
     entry = edges.tocoo()
     if (label[entry.row] < label[entry.col]).any():  # scipy does not document the order
-        raise SolverError("the strong components that scipy found are in no topological order")
+        raise SolverError("scipy lists strong components in no topological order: install numba")
     order = np.argsort(label, kind="stable").astype(np.int32)
     return StrongComponents(label, order, offsets_of(np.bincount(label)))

@@ -241,7 +241,7 @@ def _verified_totals(
 
 
 def _greatest_residual(system: System, rewards: FloatArray, x: FloatArray) -> FloatArray:
-    """Bound the greatest residual of a policy's totals in working precision, [rewards]."""
+    """Return upper bounds of the residuals of a policy's totals, [rewards]."""
     most = np.empty(rewards.shape[1])
     for j in range(most.size):
         check_time()

@@ -203,7 +203,7 @@ def howard_rounds(
             totals = evaluation.totals_of(system, choice)
             return choice, system, totals, greatest_gain(backup), work
         if n_rounds > MOST_ROUNDS:
-            raise SolverError("policy iteration does not converge, as policies repeat")
+            raise SolverError("rounding makes policy iteration repeat policies: try a discount")
         before, changed_before, changed = choice, changed, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
         if changed > _STEADY * changed_before and accelerated(dynamics.n_entries, _IN_PLACE):
@@ -271,7 +271,7 @@ class _Evaluation:
         if self._is_exact and self._above is not None:
             rounding = NEARLY * float(np.abs(self._above).max(initial=0.0))
             if not (self.values <= self._above + rounding).all():
-                raise SolverError("policy iteration made a policy worse, by rounding")
+                raise SolverError("rounding made the next policy worse: try a discount")
         self._above = self.values if self._is_exact else None
         products, system.products = system.products, 0
         return products
@@ -381,7 +381,7 @@ def improve_precisely(
         best = first_minimisers(ahead, segment_minima(ahead, offsets), offsets)
         picks[np.diff(offsets) > 0] = best
         choice = np.where(gain > 0.0, picks, choice)
-    raise SolverError("policy iteration does not converge, as policies repeat")
+    raise SolverError("rounding makes policy iteration repeat policies: try a discount")
 
 
 def switched(

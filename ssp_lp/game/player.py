@@ -493,7 +493,7 @@ class Player:
     def lower_bounds(
         self, sweep: Sweep, price: float, failing: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Bound J_obj + price * J_cond from below for all policies.
+        """Return lower bounds of J_obj + price * J_cond for all policies.
 
         With a fixed tail the bounds hold for all policies that follow it beyond M.
 
@@ -517,7 +517,7 @@ class Player:
         return sweep.bound(priced, anything)
 
     def surplus(self, price: float, accuracy: float) -> float:
-        """Bound ``J_obj - price * (1 - J_cond)`` from below for all policies, with rounding.
+        """Return a lower bound of ``J_obj - price * (1 - J_cond)`` for all policies, rounded down.
 
         A bound >= 0 proves ``J_obj / (1 - J_cond) >= price`` for all policies. A policy that fails
         surely has the value 0, so that a small difference from it is not lost in rounding.
@@ -612,10 +612,10 @@ class BayesPlayer(Player):
     def last_tail(self) -> tuple[IntArray, LayeredTails]:
         """Pairs, [nodes], and values of the policy that is followed beyond cap and horizon.
 
-        In case S it is the policy that fails most under the discount: undiscounted MINPROB
-        (``undiscounted_tail``) would need a much greater cap and horizon. In case M it is the
-        policy of least J_obj. In both cases J_obj is undiscounted and J_cond discounted (section
-        3.3).
+        In case M it is the policy of least J_obj. In case S it is the policy of greatest discounted
+        failure probability: the policy of greatest undiscounted failure probability (MINPROB,
+        ``undiscounted_tail``) would need a much greater cap and horizon. In both cases J_obj is
+        undiscounted and J_cond discounted (section 3.3).
         """
         if not self.counts_total:
             return self._cheapest()
@@ -647,7 +647,7 @@ class BayesPlayer(Player):
         return choice, tails
 
     def _surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
-        """Bound, from below, the weighted cost minus that of sure failure, [totals, nodes].
+        """Return lower bounds of the weighted cost minus that of sure failure, [totals, nodes].
 
         A policy reaches the goal with at least its discounted success E[gamma^T; goal], and then
         pays at least the accumulated cost, undiscounted. The bound is linear in the discounted
@@ -693,7 +693,7 @@ class BayesPlayer(Player):
             cap *= 2.0 if self.counts_total and gap > _SLOW * before else 1.0
 
     def surplus(self, price: float, accuracy: float) -> float:
-        """Bound ``J_obj - price * (1 - J_cond)`` from below for all policies, with rounding.
+        """Return a lower bound of ``J_obj - price * (1 - J_cond)`` for all policies, rounded down.
 
         A policy that fails surely has exactly the value 0.
         """
@@ -791,9 +791,9 @@ class BayesPlayer(Player):
         )
 
     def _beyond(self, totals: Totals, weights: FloatArray) -> FloatArray:
-        """Bound every policy's weighted cost from the horizon on, from below, [nodes, totals].
+        """Return lower bounds of all policies' weighted cost after the horizon, [nodes, totals].
 
-        The stationary game has a lower bound of it, since discounting J_obj can only lower J_obj.
+        They come from the stationary game, since a discount can only make J_obj smaller.
 
         Args:
             totals: the totals.

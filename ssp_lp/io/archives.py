@@ -296,7 +296,7 @@ def load_model(path: FilePath) -> SSP:
             for name in ("states", "actions")
         )
         if states is not None and len(states) != n_states:
-            raise ModelError("the names of states must be one for each")
+            raise ModelError("there must be one name for each state")
         if actions is not None:
             actions = _named_in_archive(actions, arrays["pair_action"], "actions")
         labels_of_states = range(n_states) if states is None else states
@@ -407,7 +407,7 @@ def _policy_in(
     parts: list[AnyPolicy] = []
 
     def meant(value: Any) -> Any:
-        """Return a field from its JSON value: an array by name, policies by number, or a number."""
+        """Return a field's value: a named array, policies with listed numbers, or a number."""
         if isinstance(value, str):
             return arrays[value]
         if isinstance(value, list):
@@ -498,7 +498,7 @@ class _PolicyRecords:
         if name is None:
             own = ": save its .policy instead" if isinstance(policy, Solution) else ""
             kind = type(policy).__name__
-            raise ModelError(f"a {kind} cannot be saved, its class is unknown{own}")
+            raise ModelError(f"a {kind} cannot be saved: it is none of the library's policies{own}")
         record: dict[str, Any] = {"kind": name}
         for part, value in fields_of(policy, policy).items():
             if isinstance(value, SSP):
@@ -610,11 +610,9 @@ def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[
         if isinstance(saved, float) and isinstance(stated, float):
             same = isclose(saved, stated, rel_tol=_ROUNDING, abs_tol=_ROUNDING)
         if not same:
-            raise ModelError(
-                f"the file is of a problem with {name} = {saved!r}, this one has {stated!r}"
-            )
+            raise ModelError(f"the file answers a problem with {name} = {saved!r}, not {stated!r}")
     if not np.array_equal(start_distribution(problem.model, problem.start), start):
-        raise ModelError("the file is of a problem with another start")
+        raise ModelError("the file answers a problem with another start: pass that problem")
 
 
 _FINGERPRINT_VERSION = "ssp-lp model 1"

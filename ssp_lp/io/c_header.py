@@ -67,7 +67,7 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
             units |= {None if memory["levels"] else memory["unit"]}
         fields.append(_member_fields(stated, member))
     if len(units) > 1:
-        raise ModelError("the members of the lottery count costs in different units")
+        raise ModelError("the policies of the lottery use different cost units: write each alone")
     tables, rows, largest = list[str](), list[str](), 0
     upto = np.minimum(np.cumsum(lottery.weights), 1.0)
     for k, (member_fields, share) in enumerate(zip(fields, upto.tolist(), strict=True)):
@@ -119,7 +119,7 @@ def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
     cap = 0 if memory is None else memory.get("cap", -1)
     tails, drawn = decision[cap:], any(type(one) is list for row in decision for one in row)
     if cap < 0 or (drawn and memory):
-        raise ModelError(f"a C header cannot contain a {type(policy).__name__}")
+        raise ModelError(f"no C header of a {type(policy).__name__}: use write_controller")
     fields: dict[str, Any] = dict.fromkeys(
         ("layers", "tails", "decision", "tail", "threshold", "levels", "offsets", "action", "share",
          "ends", "otherwise", "afterwards"), 0)  # fmt: skip

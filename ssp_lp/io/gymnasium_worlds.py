@@ -398,7 +398,7 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
     pair = np.repeat(np.arange(len(outcomes)), list(map(len, outcomes)))
     entries = list(chain.from_iterable(outcomes))
     if set(map(len, entries)) - {4}:
-        raise ModelError("an outcome in the table must be (probability, state, reward, terminated)")
+        raise ModelError("outcomes in env.unwrapped.P must be (p, state, reward, terminated)")
     flat = list(chain.from_iterable(entries))
     probability, targets = np.array(flat[::4], dtype=np.float64), flat[1::4]
     for state in dict.fromkeys(targets):
@@ -769,7 +769,7 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
         model.check_step(pair, state)
         if terminated and not over[state]:
             raise ModelError(
-                f"the environment terminated in {model.states[state]!r}, but its table does not"
+                f"the environment terminated in {model.states[state]!r}, unlike env.unwrapped.P"
             )
         paid = float(model.step_cost(before, action, shown, float(reward)))
         check_costs(paid)

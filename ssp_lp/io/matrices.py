@@ -116,7 +116,7 @@ def _paid_by_matrix(
     try:
         table = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"costs or rewards are no numbers: {in_short(given)}") from error
+        raise ModelError(f"costs or rewards must be numbers, not {in_short(given)}") from error
     if table.shape == (n_states,):
         return np.asarray(table[state])
     if table.shape == (n_states, n_actions):

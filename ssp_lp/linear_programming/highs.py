@@ -162,7 +162,7 @@ def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:
         if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
             raise SolverError(f"HiGHS refuses the option {name}={value!r}")
     if solver.passModel(lp) == highspy.HighsStatus.kError:
-        raise SolverError("HiGHS refuses the linear program")
+        raise SolverError("HiGHS refuses the linear program: make all its numbers finite")
     return solver
 
 

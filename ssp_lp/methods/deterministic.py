@@ -266,7 +266,7 @@ class _Tree:
         return int(inside[states[0]]) if states.size else -1
 
     def _add(self, node: _Node, choice: IntArray) -> None:
-        """Bound a node by its best lottery, and put it on the heap unless its bound closes it.
+        """Put a node on the heap, with the bound of its best lottery, unless the bound closes it.
 
         Args:
             node: the node; the search for its best price begins at ``node.price``.
@@ -323,7 +323,7 @@ class _Tree:
 
         Args:
             rewards: cost, failure and goal, [pairs, 3].
-            price: of failure.
+            price: price of failure.
             choice: the policy from which policy iteration starts, [states].
         """
         weights = np.array([1.0, price, 0.0])

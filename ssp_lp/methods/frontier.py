@@ -297,7 +297,7 @@ class Frontier(Report):
             low, high = self.bounds_at(budget)
             raise SolverError(
                 f"the frontier is not settled at the budget {budget:g}: the least objective lies "
-                f"between {low!r} and {high!r} (bounds_at); policy_at attains the latter. "
+                f"between {low!r} and {high!r} (bounds_at), which a policy attains (policy_at). "
                 "Set a higher ",
                 Argument("point_limit"),
                 " or ",
@@ -545,7 +545,7 @@ class _ColumnPoints:
         """Return the dual bound at a price, cached.
 
         Args:
-            price: of failure.
+            price: price of failure.
             column: a policy that is optimal, or nearly so, at this price.
             slack: use the form ``cost - price * goal`` (:class:`Proof`).
         """

@@ -128,8 +128,8 @@ def finer_optima(
     The sequence ends if the problem cannot be refined, or if refining does not help any more.
 
     Args:
-        optimum: of the first problem. Without a value function it has no proved bound: then it is
-            not yielded, and only its price is used.
+        optimum: optimum of the first problem. Without a value function it has no proved bound: then
+            it is not yielded, and only its price is used.
         attempt: solves a finer problem, given the options and the optimum of the last problem.
         options: progress callback and limits.
         patience: refining stops if this number of refinements did not halve the gap and the cap on

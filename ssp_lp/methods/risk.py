@@ -545,7 +545,7 @@ class _TailMeanSearch:
     sweeps: int = 0
 
     def attempt(self, threshold: int, options: SolveOptions | None = None) -> Answer:
-        """Minimise the charge of a threshold; return the better of the incumbent and its policy."""
+        """Minimise the charge of a threshold; return the better of the policy and the incumbent."""
         charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
         kappa = self._kappa(threshold)
         trial = self.question.attempt(charge, options or self.options, kappa)
@@ -579,7 +579,7 @@ class _TailMeanSearch:
 
     @property
     def target(self) -> float:
-        """Value that the bounds must reach: the incumbent's, less the tolerance."""
+        """Value that the bounds must reach: the incumbent's value less the tolerance."""
         return 0.0 if self.best is None else self.best.value * (1.0 - self.options.tolerance)
 
     def _kappa(self, threshold: int) -> float:

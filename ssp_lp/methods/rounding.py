@@ -87,7 +87,7 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
     """Solve case S with costs split on finer and finer units.
 
     Args:
-        problem: of case S, with a limit on failure alone.
+        problem: a problem of case S, with a limit on failure alone.
         options: tolerance and limits.
 
     Raises:
@@ -177,7 +177,7 @@ def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
     """Solve case S with very many totals: first on a coarser unit, then from the price found there.
 
     Args:
-        problem: of case S, with a limit on failure alone.
+        problem: a problem of case S, with a limit on failure alone.
         options: tolerance and limits.
 
     Raises:
@@ -196,7 +196,7 @@ def _lattice_attempts(
     """Yield the best lottery with costs split on a coarser unit, then the optimum on all totals.
 
     Args:
-        problem: of case S.
+        problem: a problem of case S.
         options: tolerance and limits.
         unit: the coarser unit.
         is_of_most: whether the unit divides most costs. If it does not, the coarse search only
@@ -228,7 +228,7 @@ def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Prov
     unit hardly improves the bound.
 
     Args:
-        solution: of a problem with split or rounded costs.
+        solution: a solution of a problem with split or rounded costs.
         evaluation: evaluation of its policy.
     """
     problem, attained = solution.problem, evaluation.objective
@@ -245,7 +245,7 @@ def _split_proofs(
     """Yield the best bound by costs split on finer and finer units, until it hardly rises.
 
     Args:
-        problem: of case S.
+        problem: a problem of case S.
         attained: objective of the policy.
         enough: relative gap at which no further bound is needed.
         rough: tolerance of each solve.
@@ -276,7 +276,7 @@ def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
         rows = Rows.of_failure(row.raised_to(safest), pricing)
         found = lottery_within(pricing, [*columns, safest], rows, ratio=True)
     if found is None:
-        raise SolverError("the policy of least failure never reaches the goal at exact costs")
+        raise SolverError("the safest policy reaches the goal too rarely to compute its cost")
     return Answer(found.lottery(pricing), found.objective, 0.0, found.failure)
 
 
@@ -352,7 +352,7 @@ def _columns_beside(problem: Problem, outcome: Optimum[Any], shift: float) -> li
     failure, after this change, should be just below and just above the budget.
 
     Args:
-        problem: of case S.
+        problem: a problem of case S.
         outcome: optimum of the model with split costs.
         shift: failure of the first column on the true model, minus that with split costs.
     """
@@ -500,7 +500,7 @@ def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction
     """Yield finer and finer units on which to split costs, beginning with :func:`coarser_unit`.
 
     Args:
-        problem: of case S.
+        problem: a problem of case S.
         finest: whether to go down to the finest unit that fits, and ignore ``cost_levels``.
     """
     cheapest = float(step_costs(problem.model)[1][1])
@@ -527,7 +527,7 @@ def split_optimum(
     If no larger unit has few enough layers either, accumulated cost is capped.
 
     Args:
-        problem: of case S.
+        problem: a problem of case S.
         unit: unit of the costs.
         options: tolerance and limits.
         guess: a guess of the price of failure, or None.
@@ -682,7 +682,7 @@ def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     if isinstance(policy, CostAwarePolicy):
         return replace(policy, model=model, rounds_up=True)
     if not isinstance(policy, DeterministicPolicy):
-        raise ModelError(f"a {type(policy).__name__} does not remember the cost paid")
+        raise ModelError(f"a {type(policy).__name__} does not remember the total cost so far")
     pair, first = policy.decision, model.pair_offsets[:-1]
     position = np.where(pair < 0, pair, pair - first)[None, :]
     never = np.full(model.n_states, np.inf)

@@ -144,7 +144,7 @@ class Grid:
         """Return the position of each cell along each axis; :class:`ModelError` if unknown."""
         given = np.asarray(cells)
         if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
-            raise ModelError(f"cells are whole numbers 0 .. {self.n_cells - 1}; ends are not")
+            raise ModelError(f"cells are whole numbers 0 .. {self.n_cells - 1}; ends are no cells")
         return np.unravel_index(given, self.shape)
 
     @explained

@@ -313,7 +313,7 @@ def nearer_pairs(
     taken.
 
     Args:
-        graph: of a model, or of a process.
+        graph: graph of a model, or of a process.
         leaving: mask of the target pairs, [pairs].
         usable: mask of the pairs that may be taken, also as targets, [pairs]; None: all.
         distance: array of zeros that is overwritten with the number of steps before a target pair

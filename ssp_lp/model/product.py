@@ -233,7 +233,7 @@ class ProductSSP(SSP):
             step = kept, state, self.action_of(pair), there, cost
             if (after := update(*step)) not in self.memory_number:
                 told = f"the step from {state!r} by {step[2]!r} to {there!r} at cost {cost:g}"
-                other = f"the memory {after!r}, which the product does not have"
+                other = f"the memory {after!r}, which the product lacks: is it a step of the model?"
                 raise ModelError(f"{told} leads to {other}")
             return self.memory_number[after]
 
@@ -379,7 +379,7 @@ def product(
     goal[refused] = [bool(memory.accepts(kept[k])) for k in number[refused].tolist()]
     refused &= ~goal
     if not goal.any():
-        raise ModelError("no goal that the memory accepts can be reached from the start")
+        raise ModelError("no run from the start reaches a goal with a memory that it accepts")
     return ProductSSP(
         **fields,
         states=ProductStates(names, tuple(numbers), read_only(state), read_only(number)),

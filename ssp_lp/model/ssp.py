@@ -1003,9 +1003,9 @@ class FlatModel:
             flat["actions"].append(action)
             flat["outcome_offsets"].append(len(successors))
         if any(len(paid) < len(costs) for paid in flat["named_costs"].values()):
-            raise ModelError(f"state {state!r} has unnamed costs; elsewhere costs have names")
+            raise ModelError(f"state {state!r} has unnamed costs: name them as elsewhere")
         if self._cost is not None and costs and not flat["named_costs"]:
-            raise ModelError(f"there is no cost {self._cost!r}: the costs have no names")
+            raise ModelError(f"there is no cost {self._cost!r}: give each cost a name")
         if goal:
             flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
         flat["pair_offsets"].append(len(flat["actions"]))
@@ -1370,7 +1370,7 @@ def goal_mask_of(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
     """
     goals = np.asarray(goal_states).reshape(-1)
     if goals.size and not np.issubdtype(goals.dtype, np.integer):
-        raise ModelError("goal_states must be indices of states (integers), no mask")
+        raise ModelError("goal_states must be indices of states, np.flatnonzero(mask), not a mask")
     goals = goals.astype(np.int64)
     if goals.size == 0:
         raise ModelError(

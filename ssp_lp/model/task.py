@@ -394,8 +394,8 @@ def reach(model: SSP, goal: Task, *, start: Iterable[Hashable]) -> TrackedSSP:
     begin = np.array([model.index_of(s) for s in no_lone_string(start, "start")], dtype=np.int64)
     automaton, ends = goal.followed(model)
     for state in begin[ends[0, begin]].tolist():
-        told = f"{goal!r} is satisfied at the start {model.states[state]!r} already"
-        warnings.warn(f"{told}, where the run ends", ModelWarning, stacklevel=3)
+        told = f"the start {model.states[state]!r} satisfies {goal!r}: its runs take no step"
+        warnings.warn(told, ModelWarning, stacklevel=3)
     made = track(model, automaton, goal, begin, lambda state, value: ends[value, state])
     if not made.goal_mask.any():
         raise ModelError(f"no run from the start satisfies {goal!r}")

@@ -54,8 +54,8 @@ def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axe
 
     Args:
         ax: axes of matplotlib; None: a new figure.
-        width: of the new figure, in inches.
-        height: of the new figure, in inches.
+        width: width of the new figure, in inches.
+        height: height of the new figure, in inches.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -233,11 +233,11 @@ class BoundsRecord:
 def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = None) -> Axes:
     """Plot the upper and lower bound of the optimum against seconds.
 
-    The upper bound is the objective of the best policy so far. The lower bound is the best one that
-    the pricing calls so far prove: each call is repeated at its price, with accumulated costs
-    capped as in a linear program. The last point shows the bounds of the solution. Lower bounds
-    before the last one are drawn only for a cost that is minimised within a failure budget, without
-    other limits.
+    The upper bound is the objective of the best policy so far. The lower bound is the greatest one
+    that the prices so far prove: for each price, one pricing problem is solved for the plot, on the
+    process that the linear program would have, with its cap on the accumulated cost. The last point
+    shows the bounds of the solution. Lower bounds before the last one are drawn only for a cost
+    that is minimised within a failure budget, without other limits.
 
     Args:
         record: record of the reports of ``solve``.
@@ -415,7 +415,7 @@ def plot_parameter(solutions: Iterable[object], name: str, *, ax: Axes | None = 
     solved = [one for one in solutions if isinstance(one, Solution)]
     solved = [one for one in solved if name in one.problem.model.parameters]
     if len(solved) < 2:
-        raise ModelError(f"a curve over parameter {name!r} needs two solutions of models with it")
+        raise ModelError(f"give solutions of two or more models with the parameter {name!r}")
     solved.sort(key=lambda one: one.problem.model.parameters[name].value)
     at = np.array([one.problem.model.parameters[name].value for one in solved])
     optima = np.array([one.objective for one in solved])

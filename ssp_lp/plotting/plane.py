@@ -72,7 +72,7 @@ def points_of(names: Iterable[Hashable], places: Places) -> FloatArray:
     for name in names:
         point = look_up(name)
         if point is not None and np.shape(point) != (2,):
-            raise ModelError(f"{name!r} must lie at a point (x, y) or nowhere, not at {point!r}")
+            raise ModelError(f"the point of {name!r} must be (x, y) or None, not {point!r}")
         points.append((np.nan, np.nan) if point is None else point)
     return np.array(points, dtype=np.float64).reshape(-1, 2)
 

@@ -145,7 +145,7 @@ class Chain:
             ModelError: the policy may wander for ever, so that visits are infinite.
         """
         if survival == 1.0 and not self.settling.all():
-            raise ModelError("the policy may wander for ever: its expected visits are infinite")
+            raise ModelError("visits are infinite: the policy may wander for ever; let it give up")
         everywhere = np.ones(self.n_nodes, dtype=np.bool_)
         return self._system(everywhere, survival)[1].solve_transposed(self.start)
 

@@ -187,8 +187,9 @@ class CostAwarePolicy(Policy):
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
         """Return decisions by layer: one layer for each level, and further ones beyond the cap.
 
-        The layers beyond the cap distinguish totals that lead to different tails; None if they are
-        too many. A cost that occurs only in steps that end an episode counts as one layer.
+        The layers beyond the cap distinguish totals that lead to different tails. None: there would
+        be too many of them. A cost paid only in steps that end an episode leads to no layer of its
+        own: it moves up by one layer.
         """
         cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
         goes_on = (self.tails[0] != UNDECIDED)[self.model.successors]

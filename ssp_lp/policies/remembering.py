@@ -65,7 +65,7 @@ class _Carried(Policy):
         return self.inner.goes_on
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the memories by name: the digit's, with the inner policy's if it has a memory."""
+        """Return the names of the memories: the digit, and any memory of the inner policy."""
         return [
             (code * len(self.digits) + k, word if words is None else (word, words))
             for k, word in enumerate(self.digits)
@@ -319,7 +319,7 @@ class RememberingPolicy(_Carried):
         return Branches(inside.situation, pair, inside.probability, kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Update the product's memory with each step, and the inner policy's, [episodes].
+        """Return the memories of product and inner policy after each step, [episodes].
 
         Raises:
             ModelError: a cost is negative or not finite, or a step leads to a memory that the
@@ -334,7 +334,7 @@ class RememberingPolicy(_Carried):
         return self.joined(moved, product.labels.number[there])
 
     def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
-        """Update the product's memory with outcomes, and the inner policy's, [episodes]."""
+        """Return the memories of product and inner policy after outcomes, [episodes]."""
         product, (inner, begun) = self.product, self.split(memory)
         taken = product.placed(product.at(self.model.pair_state[pairs], begun), pairs)
         there, places = product.moved_by(taken, outcomes)

@@ -133,7 +133,7 @@ class ConvexProgram:
     """
 
     def __init__(self, program: OccupationProgram) -> None:
-        """State an occupation program in cvxpy.
+        """Write an occupation program in cvxpy.
 
         Args:
             program: the program.

@@ -306,7 +306,7 @@ class OccupationProgram(Report):
             ModelError: there is no such pair; the scale t of case S has no label.
         """
         if not 0 <= column < self.process.n_pairs:
-            raise ModelError(f"no pair has column {column}; pairs: {self.process.n_pairs:,}")
+            raise ModelError(f"no pair has column {column}: pass 0 .. {self.process.n_pairs - 1:,}")
         label = self.augmented.label(int(self.augmented.part.pairs[column]))
         if label.action is GIVE_UP and self.reduced is not None:
             merged = self.reduced.program.augmented.quotient.merged
@@ -444,7 +444,7 @@ class OccupationProgram(Report):
             tried.append(report)
         if infeasible:
             raise self.infeasible()
-        raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
+        raise SolverError(f"no backend passes its check ({'; '.join(tried)}): use solve(problem)")
 
     def infeasible(self) -> InfeasibleError:
         """Return the error for rows that no visits satisfy together."""
@@ -554,7 +554,7 @@ class OccupationProgram(Report):
         is a lower bound of the program. It bounds the problem if no column is missing.
 
         Args:
-            prices: of the rows, by name, >= 0.
+            prices: prices of the rows, by name, >= 0.
             ratio: in case S a value near the optimum.
         """
         least_worth = _TRIFLE * float(np.abs(self.process.cost).max(initial=0.0))
@@ -622,7 +622,7 @@ class OccupationProgram(Report):
         return max(priced_minimum(self.process, priced).bound - paid, 0.0)
 
     def to_cvxpy(self) -> ConvexProgram:
-        """State the program in cvxpy, to add convex objectives and constraints."""
+        """Write the program in cvxpy, to add convex objectives and constraints."""
         from ssp_lp.programs.convex_program import ConvexProgram
 
         return ConvexProgram(self)

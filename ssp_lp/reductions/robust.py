@@ -230,7 +230,7 @@ def settled(
         best = np.full(model.n_states, UNDECIDED, dtype=np.int64)
         best[np.diff(model.pair_offsets) > 0] = first_minimisers(mean, least, model.pair_offsets)
         decision = np.where(better, best, decision)
-    raise SolverError("the policy iteration over the boxes does not converge")
+    raise SolverError("rounding makes policies over the boxes repeat; please report the model")
 
 
 def worst_loss(

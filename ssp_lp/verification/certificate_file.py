@@ -54,7 +54,7 @@ _AIM = 1e-12  # relative width for which a cap is chosen by the rate of the earl
 _STEEP = 1000.0  # price of failing with least failure, times 1 + |objective|
 _FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
-_IN_MEMORY = ": certify(solution) proves it in memory"
+_IN_MEMORY = "; certify(solution) proves the optimum in memory"
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ class Statement:
         known = TotalCostCharge, Reward, ExpectedArrivalCost
         if charge is not None and not isinstance(charge, known):
             name = type(charge).__name__
-            raise _refused(problem, f"a {name} charges its total cost{_IN_MEMORY}")
+            raise _refused(problem, f"its charge, {name}, is not covered{_IN_MEMORY}")
         self.flat, self.charge = problem, charge
         if problem.horizon is not None:
             labels = {**problem.model.state_labels, LATE: np.zeros(0, dtype=np.int64)}

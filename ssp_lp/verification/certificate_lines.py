@@ -4,8 +4,8 @@ With ``expand.py`` and ``prove.py`` beside it, this needs Python's standard libr
 unpacked and read line by line: the question, a line for each state, and the proof of each program
 of the question. Most questions have one program. If least failure or a share of the greatest goal
 probability is asked for, a first program proves the least failure, which bounds the failure in the
-second one. A quantile B of the total C given success needs two programs: some lottery has a small
-enough Pr(C > B), and every lottery has too large a Pr(C >= B).
+second one. A quantile B of the total C given success, at a level L, needs two programs: the first
+proves Pr(C > B) <= 1 - L for some lottery, the second Pr(C >= B) > 1 - L for every lottery.
 """
 
 import gzip

@@ -129,7 +129,7 @@ class Nodes:
         They are almost the greatest values with this property.
 
         Args:
-            prices: of the rows, >= 0, [rows].
+            prices: prices of the rows, >= 0, [rows].
 
         Returns:
             Node -> value, in units.

@@ -2,8 +2,8 @@
 
 This module proves nothing; it interprets a question: which states are dead-ends, where a policy
 may give up, what failing costs, where waiting for ever is free, how totals are counted.
-``prove.py`` reads the resulting program and uses none of these terms. Numbers in parentheses, such
-as (4), are those of the definitions on the documentation's page on the certificate format.
+``prove.py`` reads the resulting program and uses none of these terms. "Definition 4"
+and so on refer to the documentation's page on the certificate format.
 ``program.columns()`` yields the program's columns.
 """
 
@@ -211,7 +211,7 @@ class Program:
             self.rows.append(Row(row["name"], bound, bound))
 
     def _decide(self, give_up: str) -> None:
-        """Determine allowed actions, where to give up or wait, and charges of failing (4 to 7)."""
+        """Determine allowed actions, giving up, waiting and charges (definitions 4 to 7)."""
         graph, live, every = self.graph, self.live, range(self.graph.size)
         places = {"anywhere": live, "attention": live & self.attention, "dead_ends": set[int]()}
         need(give_up in places, "give_up is", give_up)
@@ -246,7 +246,7 @@ class Program:
                 q.arrivals[x] += q.mean(self.charges[x])
 
     def _charge(self, stated: list[Any], cap: str) -> None:
-        """Read the charge of the total cost, and number the nodes of the program (8).
+        """Read the charge of the total cost, and number the program's nodes (definition 8).
 
         The nodes are, in this order: the beginning; the states at the cap; the states for the
         excess over the cap, if the charge grows there; the states at each total below the cap.
@@ -311,7 +311,7 @@ class Program:
     def decisions(
         self, node: int, x: int, actions: list[Action], r: int | None
     ) -> Iterator[Column]:
-        """Yield the columns of a node (9, 10).
+        """Yield the columns of a node (definitions 9 and 10).
 
         Args:
             node: number of the node.

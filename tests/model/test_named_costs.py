@@ -193,7 +193,7 @@ def test_the_command_line_converts_all_and_limits_by_name(tmp_path, capsys):
         ({"t": 1, "u": float("nan")}, "t", "a cost 'u' that is NaN"),
         ({"t": 1, "u": float("inf")}, "t", "an infinite cost 'u'"),
         ({"t": 1, "u": "2"}, "t", "a cost that is not a number: '2'"),
-        (1.0, "t", "no names"),
+        (1.0, "t", "give each cost a name"),
         ({}, None, "no costs"),
     ],
 )

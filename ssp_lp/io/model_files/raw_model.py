@@ -127,7 +127,7 @@ def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int
 
     Args:
         source: name of the model in errors.
-        names: of the reward models; "" for one without a name.
+        names: names of the reward models; "" for one without a name.
         cost: the name; None: the only one; ``FIRST_COST``: the first one.
 
     Raises:
