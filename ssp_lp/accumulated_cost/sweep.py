@@ -181,12 +181,12 @@ class Sweep:
         entries = np.flatnonzero(base.start)
         shares = base.start[entries]
         if (one_pass := self.one_pass) is not None:
-            for some, swept, last in self._blocks(one_pass, priced, values, measures, choice):
-                measures = last
+            ahead = None if (follows := self.by_blocks and self.can_follow) else measures
+            for some, swept, last in self._blocks(one_pass, priced, values, ahead, choice):
                 if begun is not None:
                     begun[some, 0] = swept[:, entries] @ shares
-                    begun[some, 1:] = shares @ measures[:, entries]
-            return expected(base.start, measures[0])
+                    begun[some, 1:] = np.nan if follows else shares @ last[:, entries]
+            return self.follow(choice, measures) if follows else expected(base.start, last[0])
         cost, inner = self._pair_costs(priced), self._first_choice
 
         def best(
@@ -507,7 +507,8 @@ class Sweep:
         """Whether a forward sweep is possible: no free steps, and compiled loops."""
         if self.by_blocks:
             return accelerated(self.process.cap * self.process.base.n_nodes, "layers.follow_layers")
-        return self.is_acyclic and accelerated(self.process.base.later.nnz, "layers.follow_layer")
+        entries = self.process.cap * self.process.base.later.nnz
+        return self.is_acyclic and accelerated(entries, "layers.follow_layer")
 
     @cached_property
     def block(self) -> int:

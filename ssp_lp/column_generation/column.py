@@ -148,7 +148,9 @@ class PricingProblem(ABC):
         """Return columns found at other prices while a column was priced, next to the budget."""
         return ()
 
-    def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
+    def policy_failing(
+        self, column: Column, failure: float, tried: set[int], *, above: bool
+    ) -> Policy | None:
         """Return a policy with about this failure that was found while pricing; None: none was."""
         return None
 

@@ -15,7 +15,7 @@ import numpy as np
 from ssp_lp.accumulated_cost import written_out
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge
 from ssp_lp.accumulated_cost.process import LayeredProcess
-from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep, at_price
+from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, PartOfSweep, Sweep, at_price
 from ssp_lp.accumulated_cost.totals import CAP_MARGIN, MOST_GROWTH, layers_within, step_costs
 from ssp_lp.arrays import MACHINE_EPSILON, ROUNDED, FloatArray, IntArray
 from ssp_lp.column_generation.column import (
@@ -142,7 +142,9 @@ class LayeredPricing(PricingProblem):
             return ()
         return replace(nearest, found_at=float(prices[best])), self._begun_in(other, column)
 
-    def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
+    def policy_failing(
+        self, column: Column, failure: float, tried: set[int], *, above: bool
+    ) -> Policy | None:
         """Return a policy of about this failure, found by a column's sweep at a lower price.
 
         The failure at each price is the slope of the least value as a function of the price.
@@ -150,6 +152,7 @@ class LayeredPricing(PricingProblem):
         Args:
             column: found by pricing, or by its sweep.
             failure: the policy next to this failure probability is taken.
+            tried: numbers of layers of the policies found before, updated; they are not repeated.
             above: whether the policy must fail more often rather than less often.
         """
         swept = column.swept or column
@@ -158,8 +161,10 @@ class LayeredPricing(PricingProblem):
         goal = np.diff(swept.by_layer[:, 0]) / np.diff(self._paid)  # between a layer and the next
         fails = np.maximum.accumulate(1.0 - goal)
         layer = int(np.searchsorted(fails, failure)) + int(above)
-        if layer >= len(fails):
+        left = self.process.cap - layer
+        if layer >= len(fails) or left in tried:
             return None
+        tried.add(left)
         price = swept.tail_price - float(self._paid[layer])
         return self._process_begun_in(layer).policy(swept.choice[layer:], price)
 
@@ -231,9 +236,11 @@ class LayeredPricing(PricingProblem):
         at = swept.tail_price - float(self._paid[layer])
         if abs(at - price) > ROUNDED * price:
             return None
-        values = np.full(self.value_shape, np.inf)
         found, bound = required(swept.totals), float(required(swept.by_layer)[layer, 0])
-        values[: self.process.cap - layer] = found[layer:] + (0.0 if slack else at)
+        values = self.anything
+        if found.size <= KEPT_VALUES:
+            values = np.array(values)
+            values[: self.process.cap - layer] = found[layer:] + (0.0 if slack else at)
         return Proof(at, 0.0, bound, values)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
@@ -330,6 +337,8 @@ class LayeredPricing(PricingProblem):
 
 _NEARLY = 1.25  # first cap of a trial by sums, in costs given success of a way to the goal
 
+_LONG = 400  # layers, and entries of all layers, of a first sweep that takes longer than case M
+_LONG_SWEEP = 10_000_000
 _MOST_LAYERS = 100_000
 """Most layers of a charge that never settles; the gap that remains is reported."""
 
@@ -411,6 +420,16 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def is_long_shot(self) -> bool:
+        """Whether the policy to the goal gives no cap, or one that takes longer than case M."""
+        if self._has_long_runs or self.layer.by_sums or not self.is_trial:
+            return self._has_long_runs
+        layers = self._first_cap()
+        if layers <= _LONG or layers * self.layer.base.later.nnz <= _LONG_SWEEP:
+            return False
+        return not self._always_hopes
+
+    @cached_property
+    def _has_long_runs(self) -> bool:
         """Whether the policy to the goal takes too many steps to give a cap."""
         layer, facts = self.layer, self.facts
         is_guess = self.cap is None and self.fixed_cap is None and self.tails is Tails.ANY_WAY
@@ -429,7 +448,12 @@ class CompiledLayered(CompiledProblem):
     def _has_exact_tails(self) -> bool:
         """Whether the tails are (stated or necessary) the policies of least failure."""
         merged = self.layer.base.quotient.merged
-        return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self.is_long_shot
+        return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self._has_long_runs
+
+    @property
+    def _always_hopes(self) -> bool:
+        """Whether no policy surely avoids the goal from the start."""
+        return float(self.facts.start @ self.facts.riskiest.values.goal) > 0.0
 
     def capped_at(self, cost: float) -> CompiledLayered:
         """Return the problem with a cap of about this accumulated cost, if its tails are simple.
@@ -439,8 +463,7 @@ class CompiledLayered(CompiledProblem):
         """
         if self.tails is not Tails.ANY_WAY:
             return self
-        base = self.layer.base
-        exact = float(self.facts.start @ self.facts.riskiest.values.goal) > 0.0
+        base, exact = self.layer.base, self._always_hopes
         most = MOST_ENTRIES // max(base.n_nodes, 1) - 2 * base.width
         layers = int(min(np.ceil(cost / base.unit), max(most, 0))) + base.width
         return replace(self, cap=layers, tails=Tails.LEAST_FAILURE if exact else self.tails)

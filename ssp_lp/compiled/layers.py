@@ -89,10 +89,11 @@ def _settle(
             first = np.uint64(layers.offsets[s])
             past = np.uint64(layers.offsets[s + 1])
             least, pick = _best_pair(first, past, layers, one, values)
-            _measure_of(pick, layers, one, measured, here)
             values[row + s], picks[s] = least, pick - first
-            for j in range(here.size):
-                measured[row + s, j] = here[j]
+            if measured.shape[0] > 0:
+                _measure_of(pick, layers, one, measured, here)
+                for j in range(here.size):
+                    measured[row + s, j] = here[j]
         return
     for turn in range(layers.turns):
         change, scale = 0.0, 0.0
@@ -236,11 +237,14 @@ def _total_of(
     for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
         share, row = layers.data[k], values[layers.nodes[k]]
         begin = np.uint64(at + layers.leads[0, layers.classes[k]])
-        for j in range(many):
-            total[j] += share * row[begin + np.uint64(j)]
         if is_sized:
             for j in range(many):
-                size[j] += abs(share * row[begin + np.uint64(j)])
+                term = share * row[begin + np.uint64(j)]
+                total[j] += term
+                size[j] += abs(term)
+        else:
+            for j in range(many):
+                total[j] += share * row[begin + np.uint64(j)]
 
 
 @compiled_loop(inline="always")
