@@ -148,8 +148,8 @@ class Answers(Report):
         """Return a table with a row for each problem; its text shows the first rows and the errors.
 
         Columns: criterion, each argument that differs (models by their numbers), then objective,
-        bound (certified), gap, failure (as limited), price, seconds, the status or the class of the
-        error, and the error's message.
+        bound (certified), gap, failure (discounted if the problem is), price, seconds, the status
+        or the class of the error, and the error's message.
         """
         asked = self._asked()
         stated = zip(*asked.values(), strict=True)
@@ -495,7 +495,7 @@ class _Crew:
 
     @property
     def _error(self) -> SolverError:
-        """Answer for the remaining problems if the crew cannot be repaired."""
+        """Error that answers the remaining problems if no worker can be started any more."""
         if not self._is_own:
             return SolverError("the executor broke or was shut down: pass a new one, or none")
         return SolverError(

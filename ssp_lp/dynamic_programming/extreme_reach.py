@@ -1,10 +1,10 @@
 """Extreme probabilities of leaving a process by one of two exits, and the pairs that attain them.
 
-The probabilities of hitting and missing are each summed from their own exits, so that both are
-accurate relative to their size. A pair attains the extreme if taking it, as often as a run returns
-to it, loses no more than rounding. (In a loop that is rarely left, small losses add up.) If a
-component is too large for state reduction, a pair may lose a hundred ``FAILURE_FLOOR`` a step, and
-``LEAST_BUDGET`` over the longest run of the quickest policy.
+The probabilities of the two exits are each summed from their own data, so that both are accurate
+relative to their size. A pair attains the extreme if a policy that takes it whenever possible loses
+no more than rounding. (In a loop that is rarely left, small losses of single steps add up.) If a
+component is too large for state reduction, a coarser rule holds: a pair may lose a hundred times
+``FAILURE_FLOOR`` in a step, and ``LEAST_BUDGET`` over the longest run of the quickest policy.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def extreme_reach(
 ) -> ExtremeReach:
     """Compute the greatest or least probability of leaving by the exit ``hit``, from every state.
 
-    No policy may be able to stay for ever (end components are collapsed, or there are none).
+    Every policy must leave the process: it has no end components, or they are collapsed.
 
     Args:
         dynamics: the process.
@@ -87,12 +87,12 @@ def extreme_reach(
         miss: probability of leaving it by the other exit, [pairs].
         greatest: whether to maximise; else the probability is minimised.
         start: positive in the states in which the bound must be tight, [states]; None: all.
-        last_digits: whether all pairs that attain the extreme are needed. Otherwise sweeps may
-            enclose the greatest probability from both sides, and if the time ends the result is
-            that of the policy found so far.
+        last_digits: whether all pairs that attain the extreme are needed. If not, sweeps may
+            enclose the greatest probability between two bounds. If the time then ends, the best
+            policy found so far is returned.
 
     Raises:
-        Stop: the time ended.
+        Stop: the time ended before there was a result.
     """
     # maximise the wanted exit, that is minimise the other: each is exact if it is small
     both = np.stack([hit, miss] if greatest else [miss, hit], axis=1)
@@ -168,22 +168,24 @@ def _settled_reach(
 def _swept_towards(
     dynamics: Dynamics, wanted: FloatArray, asked: IntArray, last_digits: bool
 ) -> tuple[IntArray, FloatArray, FloatArray | None]:
-    """Improve, by sweeps in the order of distance, a policy of extreme reach that leaves.
+    """Find a policy of nearly greatest probability of the wanted exit, by sweeps.
 
-    Values rise from 0, and each is rounded down when it takes a better pair. So the policy attains
-    them, and it leaves, since values in a cycle would fall by rounding. Then values a little above
-    these are swept, rounded up. If a sweep raises none of them, no policy attains more (optimistic
-    value iteration: Hartmanns and Kaminski, CAV 2020).
+    The sweeps take the states in the order of their distance from the exit. Values rise from 0, and
+    each is rounded down when its state takes a better pair. The policy attains these values. It
+    also leaves the process, since values along a cycle would fall by rounding.
+
+    Then values a little above these are swept, rounded up. If a sweep raises none of them, no
+    policy attains more (optimistic value iteration: Hartmanns and Kaminski, CAV 2020).
 
     Args:
         dynamics: the process.
         wanted: probability of leaving by the wanted exit, [pairs].
         asked: states at which the optimum must be enclosed.
-        last_digits: whether policy iteration follows in any case.
+        last_digits: whether policy iteration will follow, so that upper bounds are not needed.
 
     Returns:
-        The policy, lower bounds of its values and upper bounds of the optimum at the states
-        ``asked``, [states] each; None for upper bounds that are not proved.
+        The policy, lower bounds of its values, and upper bounds of the optimum, [states] each. The
+        upper bounds are near at the states ``asked``; they are None if not proved.
     """
     distance = np.zeros(dynamics.n_states, dtype=np.int32)
     choice = nearer_pairs(dynamics.graph, wanted > 0.0, distance=distance)
@@ -240,7 +242,7 @@ def _sweep(
     *,
     up: bool = False,
 ) -> float:
-    """Sweep over all pairs, then along the chosen ones; return the greatest rise.
+    """Improve values over all pairs, then follow the chosen pairs; return the greatest rise.
 
     Args:
         dynamics: the process.
@@ -279,7 +281,7 @@ def _sweep(
 
 
 def attaining_pairs(found: ExtremeReach) -> BoolArray:
-    """Return whether a pair attains the extreme, however often it is taken, [pairs]."""
+    """Return a mask of the pairs that attain the extreme, however often they are taken, [pairs]."""
     dynamics, choice, both = found.dynamics, found.choice, found.both
     totals = found.totals or evaluate_policy(dynamics, choice, both, PRECISE)
     high, lost = totals.values.T
@@ -326,7 +328,7 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
 def _with_pairs(
     dynamics: Dynamics, tied: BoolArray, choice: IntArray
 ) -> tuple[IntArray, Dynamics, IntArray]:
-    """Return the tied pairs, the dynamics restricted to them, and the policy's places there."""
+    """Return the tied pairs, the dynamics with only these, and the policy's pairs in it."""
     kept = tied.nonzero()[0]
     place = np.full(len(tied), -1, dtype=np.int32)
     place[kept] = np.arange(kept.size)

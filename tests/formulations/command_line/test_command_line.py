@@ -255,7 +255,7 @@ def test_limits_in_words(tmp_path: Path, told: Told, refused: Any) -> None:
         ("--criterion cvar", "cvar needs --level"),
         ("--policy-out policy.txt", "a policy is written as .npz, .json, .h, .csv"),
         ("--horizon 0", "--horizon must be a whole number >= 1, not 0"),
-        ("--discount .9", "--failure-budget none (least failure) is exact only: leave --disc"),
+        ("--discount .9", "--failure-budget none (least failure) supports no discount: leave"),
         ("--criterion least-quantity", "least-quantity needs --quantity"),
         ("--method game --failure-budget 0.1",
          "give --discount 0.999, or solve the exact problem with --method columns"),
