@@ -478,6 +478,11 @@ class CompiledLayered(CompiledProblem):
         merged = self.layer.base.quotient.merged
         return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self._has_long_runs
 
+    @cached_property
+    def is_lossy(self) -> bool:
+        """Whether every cap may change the optimum: some start cannot surely avoid the goal."""
+        return bool(self.facts.start[~attention_states(self.facts.model)].any())
+
     @property
     def _always_hopes(self) -> bool:
         """Whether no policy surely avoids the goal from the start."""
@@ -591,8 +596,7 @@ class CompiledLayered(CompiledProblem):
             lossless = self.lossless_units(price)
             most = (2.0 if exact and self.charge.is_the_total else MOST_GROWTH) * here
             is_near = (self.is_trial or here < lossless) and lossless <= most
-            is_lossy = bool(self.facts.start[~attention_states(self.facts.model)].any())
-            if is_near and self.is_trial and is_lossy:  # as in ``capped_at``
+            if is_near and self.is_trial and self.is_lossy:  # as in ``capped_at``
                 wanted = 2.0 * lossless
             elif is_near:
                 wanted, tails = lossless, self.tails if self.is_trial else tails

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import bisect_left
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -45,7 +45,14 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import CostQuantileOf, ExcessCharge, LateCharge, TailMeanOf
+from ssp_lp.accumulated_cost.charges import (
+    TOTAL_COST,
+    CostQuantileOf,
+    ExcessCharge,
+    LateCharge,
+    TailMeanOf,
+    TotalCostCharge,
+)
 from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
 from ssp_lp.analysis.evaluation import Evaluation, complement, success_costs
@@ -213,7 +220,7 @@ Near = tuple[float, float]
 """A start of a search, from coarser costs: the quantile of a good policy, and the price of failure
 there (0: unknown)."""
 
-_Charge = LateCharge | ExcessCharge
+_Charge = LateCharge | ExcessCharge | TotalCostCharge
 
 
 class _Guess(NamedTuple):
@@ -273,6 +280,13 @@ class _WithinBudget(_Question):
 
     def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
         """Minimise E[charge | goal] by column generation on layers of accumulated cost."""
+        if isinstance(charge, ExcessCharge) and charge.settled == 0.0 and charge.first is None:
+            # a multiple of the mean, for which one sweep covers many prices of failure
+            mean, slope = self.attempt(TOTAL_COST, options, kappa / charge.slope), charge.slope
+            value, bound, price = (
+                slope * part for part in (mean.value, mean.lower_bound, mean.kappa)
+            )
+            return replace(mean, value=value, lower_bound=bound, kappa=price)
         compiled = self._charging(charge, kappa)
         if self.budget is None:
             pricing = compiled.pricing()
@@ -316,7 +330,8 @@ class _WithinBudget(_Question):
         compiled = self.compiled.charging(charge)
         if kappa <= 0.0 or self.budget is None:
             return compiled
-        return self.compiled.charging(charge, compiled.lossless_units(kappa))
+        room = 2.0 if compiled.is_lossy else 1.0  # the bound beyond the cap is loose
+        return self.compiled.charging(charge, room * compiled.lossless_units(kappa))
 
     def share(self, proof: Proof) -> float:
         """Return the lower bound of E[charge | goal] that a proof implies."""
@@ -571,10 +586,11 @@ class _TailMeanSearch:
         places, middle = self.question.thresholds, (first + last) // 2
         charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
         nearest = min(self.tried, key=lambda number: abs(number - middle))
-        kappa = self._kappa(middle)
+        kappa, trial = self._kappa(middle), self.tried[nearest]
         self.sweeps += 1
-        slack = kappa <= self.target
-        guess = _Guess(max(kappa, self.target), self.tried[nearest].prices, slack)
+        # with a slack budget the price at a threshold is its value: the target proves the target
+        slack = kappa <= self.target or trial.kappa <= trial.value * (1.0 + _ABOVE)
+        guess = _Guess(self.target if slack else kappa, trial.prices, slack)
         return self.question.refuted_below(charge, guess)
 
     @property
@@ -616,16 +632,36 @@ class _TailMeanSearch:
         bounds = [trial.lower_bound for trial in self.tried.values()]
         numbers = sorted(number for number in self.tried if number < last)
         between = 1 if places.sharp else 0  # a grid must cover all real numbers
-        weakest = [
-            (least, after + between, before - between)
+        weakest = sorted(
+            (least, *part)
             for after, before in zip(numbers, [*numbers[1:], last + 1], strict=True)
             if before - after > between
-        ]
+            for part in self._parts(after + between, before - between, between)
+        )
         while weakest and not is_late() and weakest[0][0] < self.target:
             with WithIncumbent():
                 self._split(weakest, bounds)
         best = self.best or best
         return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
+
+    def _parts(self, first: int, final: int, between: int) -> Iterator[tuple[int, int]]:
+        """Yield parts of an interval, twice as long from part to part away from the quantile.
+
+        Args:
+            first: number of the first threshold.
+            final: number of the last threshold.
+            between: distance from the last threshold of a part to the first one of the next.
+        """
+        is_below, length = final <= self.quantile, 1
+        while True:
+            some = min(length - between, final - first)
+            yield (final - some, final) if is_below else (first, first + some)
+            if some == final - first:
+                return
+            first, final = (
+                (first, final - some - between) if is_below else (first + some + between, final)
+            )
+            length *= 2
 
     def _split(self, weakest: list[tuple[float, int, int]], bounds: list[float]) -> None:
         """Raise the bound of the interval of thresholds whose bound is least, or halve it.
