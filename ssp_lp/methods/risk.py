@@ -47,11 +47,11 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import (
     TOTAL_COST,
+    Charge,
     CostQuantileOf,
     ExcessCharge,
     LateCharge,
     TailMeanOf,
-    TotalCostCharge,
 )
 from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
@@ -220,7 +220,7 @@ Near = tuple[float, float]
 """A start of a search, from coarser costs: the quantile of a good policy, and the price of failure
 there (0: unknown)."""
 
-_Charge = LateCharge | ExcessCharge | TotalCostCharge
+_Charge = LateCharge | ExcessCharge
 
 
 class _Guess(NamedTuple):
@@ -280,13 +280,19 @@ class _WithinBudget(_Question):
 
     def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
         """Minimise E[charge | goal] by column generation on layers of accumulated cost."""
-        if isinstance(charge, ExcessCharge) and charge.settled == 0.0 and charge.first is None:
+        layer = self.compiled.layer
+        shifts = not layer.by_sums and layer.base.instant.nnz == 0
+        if shifts and isinstance(charge, ExcessCharge) and charge.settled == 0.0:
             # a multiple of the mean, for which one sweep covers many prices of failure
-            mean, slope = self.attempt(TOTAL_COST, options, kappa / charge.slope), charge.slope
+            mean, slope = self._least(TOTAL_COST, options, kappa / charge.slope), charge.slope
             value, bound, price = (
                 slope * part for part in (mean.value, mean.lower_bound, mean.kappa)
             )
             return replace(mean, value=value, lower_bound=bound, kappa=price)
+        return self._least(charge, options, kappa)
+
+    def _least(self, charge: Charge, options: SolveOptions, kappa: float) -> _Trial:
+        """Minimise E[charge | goal] for any charge; see :meth:`attempt`."""
         compiled = self._charging(charge, kappa)
         if self.budget is None:
             pricing = compiled.pricing()
@@ -320,7 +326,7 @@ class _WithinBudget(_Question):
         kappa, slack = (0.0, False) if self.budget is None else (guess.kappa, guess.slack)
         return self._charging(charge, kappa).pricing().prove(kappa, slack=slack)
 
-    def _charging(self, charge: _Charge, kappa: float) -> CompiledLayered:
+    def _charging(self, charge: Charge, kappa: float) -> CompiledLayered:
         """Return the compiled problem with a charge, and a cap large enough for a price of failure.
 
         Args:
@@ -581,17 +587,25 @@ class _TailMeanSearch:
     def refuted(self, first: int, last: int) -> float:
         """Return a lower bound of F (see the module) on all thresholds from first to last.
 
-        It is proved at one price of failure, interpolated between the known ones.
+        It is proved at a price of failure that is interpolated between the known ones. If the
+        budget is slack, the price at a threshold is its value, and the target as the price is
+        enough to prove the target.
         """
         places, middle = self.question.thresholds, (first + last) // 2
         charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
-        nearest = min(self.tried, key=lambda number: abs(number - middle))
-        kappa, trial = self._kappa(middle), self.tried[nearest]
-        self.sweeps += 1
-        # with a slack budget the price at a threshold is its value: the target proves the target
-        slack = kappa <= self.target or trial.kappa <= trial.value * (1.0 + _ABOVE)
-        guess = _Guess(self.target if slack else kappa, trial.prices, slack)
-        return self.question.refuted_below(charge, guess)
+        numbers, bound = sorted(self.tried), 0.0
+        nearest = min(numbers, key=lambda number: abs(number - middle))
+        place = bisect_left(numbers, middle)
+        beside = [self.tried[number] for number in numbers[max(place - 1, 0) : place + 1]]
+        slack = [trial.kappa <= trial.value * (1.0 + _ABOVE) for trial in beside]
+        prices = [] if all(slack) else [max(self._kappa(middle), self.target)]
+        for kappa in dict.fromkeys(prices + [self.target] * any(slack)):
+            guess = _Guess(kappa, self.tried[nearest].prices, kappa <= self.target)
+            bound = max(bound, self.question.refuted_below(charge, guess))
+            self.sweeps += 1
+            if bound >= self.target:
+                break
+        return bound
 
     @property
     def target(self) -> float:
@@ -636,13 +650,33 @@ class _TailMeanSearch:
             (least, *part)
             for after, before in zip(numbers, [*numbers[1:], last + 1], strict=True)
             if before - after > between
-            for part in self._parts(after + between, before - between, between)
+            for part in self._parts(self._reached(after, before, bounds), before - between, between)
         )
         while weakest and not is_late() and weakest[0][0] < self.target:
             with WithIncumbent():
                 self._split(weakest, bounds)
         best = self.best or best
         return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
+
+    def _reached(self, after: int, before: int, bounds: list[float]) -> int:
+        """Return the first threshold after a tried one that its lower bound does not refute.
+
+        The charge falls by at most 1 / share - 1 where the threshold rises by 1, and F as well.
+
+        Args:
+            after: number of the tried threshold.
+            before: number of the next tried threshold.
+            bounds: bounds of settled thresholds; updated.
+        """
+        places, bound = self.question.thresholds, self.tried[after].lower_bound
+        between, fall = 1 if places.sharp else 0, self.level / (1.0 - self.level)
+        begin, final = places.total(after), before - between
+        end = min(begin + max(bound - self.target, 0.0) / fall, places.total(final))
+        reached = min(places.number(end), final)
+        reached = max(reached - int(places.total(reached) > end), after)
+        if reached > after:
+            bounds.append(bound * (1.0 - 2.0 * _ROUNDING) - (places.total(reached) - begin) * fall)
+        return reached + between
 
     def _parts(self, first: int, final: int, between: int) -> Iterator[tuple[int, int]]:
         """Yield parts of an interval, twice as long from part to part away from the quantile.
@@ -653,7 +687,7 @@ class _TailMeanSearch:
             between: distance from the last threshold of a part to the first one of the next.
         """
         is_below, length = final <= self.quantile, 1
-        while True:
+        while first + 1 - between <= final:
             some = min(length - between, final - first)
             yield (final - some, final) if is_below else (first, first + some)
             if some == final - first:
