@@ -185,12 +185,12 @@ class Sweep:
         entries = np.flatnonzero(base.start)
         shares = base.start[entries]
         if (one_pass := self.one_pass) is not None:
-            ahead = None if (follows := self.by_blocks and self.can_follow) else measures
-            for some, swept, last in self._blocks(one_pass, priced, values, ahead, choice):
+            for some, swept, last in self._blocks(one_pass, priced, values, measures, choice):
+                measures = last
                 if begun is not None:
                     begun[some, 0] = swept[:, entries] @ shares
-                    begun[some, 1:] = np.nan if follows else shares @ last[:, entries]
-            return self.follow(choice, measures) if follows else expected(base.start, last[0])
+                    begun[some, 1:] = shares @ measures[:, entries]
+            return expected(base.start, measures[0])
         cost, inner = self._pair_costs(priced), self._first_choice
 
         def best(

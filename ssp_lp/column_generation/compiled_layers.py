@@ -358,8 +358,7 @@ class LayeredPricing(PricingProblem):
 
 _NEARLY = 1.25  # first cap of a trial by sums, in costs given success of a way to the goal
 
-_LONG = 400  # layers, and entries of all layers, of a first sweep that takes longer than case M
-_LONG_SWEEP = 10_000_000
+_LONG_SWEEP = 10_000_000  # entries of all layers of a sweep that takes longer than case M
 _MOST_LAYERS = 100_000
 """Most layers of a charge that never settles; the gap that remains is reported."""
 
@@ -452,7 +451,7 @@ class CompiledLayered(CompiledProblem):
         if self._has_long_runs or self.layer.by_sums or not self.is_trial:
             return self._has_long_runs
         layers = self._first_cap()
-        if layers <= _LONG or layers * self.layer.base.later.nnz <= _LONG_SWEEP:
+        if layers <= MOST_STEPS or layers * self.layer.base.later.nnz <= _LONG_SWEEP:
             return False
         return not self._always_hopes
 

@@ -93,11 +93,10 @@ def _settle(
             first = np.uint64(layers.offsets[s])
             past = np.uint64(layers.offsets[s + 1])
             least, pick = _best_pair(first, past, layers, one, values)
+            _measure_of(pick, layers, one, measured, here)
             values[row + s], picks[s] = least, pick - first
-            if measured.shape[0] > 0:
-                _measure_of(pick, layers, one, measured, here)
-                for j in range(here.size):
-                    measured[row + s, j] = here[j]
+            for j in range(here.size):
+                measured[row + s, j] = here[j]
         return
     for turn in range(layers.turns):
         change, scale = 0.0, 0.0
