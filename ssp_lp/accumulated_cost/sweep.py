@@ -520,7 +520,8 @@ class Sweep:
         """Whether a forward sweep is possible: no free steps, and compiled loops."""
         if self.by_blocks:
             return accelerated(self.process.cap * self.process.base.n_nodes, "layers.follow_layers")
-        return self.is_acyclic and accelerated(self.process.base.later.nnz, "layers.follow_layer")
+        entries = self.process.cap * self.process.base.later.nnz
+        return self.is_acyclic and accelerated(entries, "layers.follow_layer")
 
     @cached_property
     def block(self) -> int:

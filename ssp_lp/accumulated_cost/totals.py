@@ -91,9 +91,15 @@ def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
     Returns:
         The unit; 1 if every cost is zero.
     """
-    fractions = [exact_cost(c, exact) for c in np.unique(costs).tolist() if c > 0]
-    if not fractions:
+    distinct = np.unique(costs)
+    distinct = distinct[distinct > 0]
+    if not distinct.size:
         return Fraction(1)
+    for digits in range(_SHORT if not exact else 0):  # all of them short decimals
+        whole = np.rint(distinct * 10.0**digits)
+        if whole[-1] < 10.0**_SHORT and (whole / 10.0**digits == distinct).all():
+            return Fraction(int(np.gcd.reduce(whole.astype(np.int64))), 10**digits)
+    fractions = [exact_cost(c, exact) for c in distinct.tolist()]
     denominator = lcm(*[f.denominator for f in fractions])
     return Fraction(gcd(*[int(f * denominator) for f in fractions]), denominator)
 

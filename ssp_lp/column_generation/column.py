@@ -166,7 +166,9 @@ class PricingProblem(ABC):
         """
         return ()
 
-    def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
+    def policy_failing(
+        self, column: Column, failure: float, tried: set[int], *, above: bool
+    ) -> Policy | None:
         """Return a policy of about a given failure, a by-product of a pricing call, or None."""
         return None
 

@@ -16,7 +16,7 @@ import numpy as np
 from ssp_lp.accumulated_cost import written_out
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge
 from ssp_lp.accumulated_cost.process import LayeredProcess
-from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep, at_price
+from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, PartOfSweep, Sweep, at_price
 from ssp_lp.accumulated_cost.totals import CAP_MARGIN, MOST_GROWTH, layers_within, step_costs
 from ssp_lp.arrays import MACHINE_EPSILON, ROUNDED, FloatArray, IntArray
 from ssp_lp.column_generation.column import (
@@ -147,7 +147,9 @@ class LayeredPricing(PricingProblem):
             return ()
         return replace(nearest, found_at=float(prices[best])), self._begun_in(other, column)
 
-    def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
+    def policy_failing(
+        self, column: Column, failure: float, tried: set[int], *, above: bool
+    ) -> Policy | None:
         """Return a policy of about a given failure, which a column's sweep found at a lower price.
 
         The failure at each price is the slope of the least value as a function of the price.
@@ -155,6 +157,7 @@ class LayeredPricing(PricingProblem):
         Args:
             column: a column that ``minimise`` or ``beside`` returned.
             failure: the failure probability.
+            tried: numbers of layers of the policies returned before, updated; none is repeated.
             above: whether the policy is the next one that fails more often, or less often.
         """
         swept = column.swept or column
@@ -163,8 +166,10 @@ class LayeredPricing(PricingProblem):
         goal = np.diff(swept.by_layer[:, 0]) / np.diff(self._paid)  # between a layer and the next
         fails = np.maximum.accumulate(1.0 - goal)
         layer = int(np.searchsorted(fails, failure)) + int(above)
-        if layer >= len(fails):
+        left = self.process.cap - layer
+        if layer >= len(fails) or left in tried:
             return None
+        tried.add(left)
         price = swept.tail_price - float(self._paid[layer])
         return self._process_begun_in(layer).policy(swept.choice[layer:], price)
 
@@ -236,9 +241,11 @@ class LayeredPricing(PricingProblem):
         at = swept.tail_price - float(self._paid[layer])
         if abs(at - price) > ROUNDED * price:
             return None
-        values = np.full(self.value_shape, np.inf)
         found, bound = required(swept.totals), float(required(swept.by_layer)[layer, 0])
-        values[: self.process.cap - layer] = found[layer:] + (0.0 if slack else at)
+        values = self.anything
+        if found.size <= KEPT_VALUES:
+            values = np.array(values)
+            values[: self.process.cap - layer] = found[layer:] + (0.0 if slack else at)
         return Proof(at, 0.0, bound, values)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
@@ -351,6 +358,7 @@ class LayeredPricing(PricingProblem):
 
 _NEARLY = 1.25  # first cap of a trial by sums, in costs given success of a way to the goal
 
+_LONG_SWEEP = 10_000_000  # entries of all layers of a sweep that takes longer than case M
 _MOST_LAYERS = 100_000
 """Most layers of a charge that never settles; the gap that remains is reported."""
 
@@ -435,6 +443,20 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def is_long_shot(self) -> bool:
+        """Whether the easily found policy to the goal gives no cap, or too high a first cap.
+
+        A cap is too high if a sweep up to it takes longer than solving case M, whose price gives a
+        lower one.
+        """
+        if self._has_long_runs or self.layer.by_sums or not self.is_trial:
+            return self._has_long_runs
+        layers = self._first_cap()
+        if layers <= MOST_STEPS or layers * self.layer.base.later.nnz <= _LONG_SWEEP:
+            return False
+        return not self._always_hopes
+
+    @cached_property
+    def _has_long_runs(self) -> bool:
         """Whether runs of the easily found policy to the goal are too long to give a cap."""
         layer, facts = self.layer, self.facts
         is_guess = self.cap is None and self.fixed_cap is None and self.tails is Tails.ANY_WAY
@@ -453,7 +475,17 @@ class CompiledLayered(CompiledProblem):
     def _has_exact_tails(self) -> bool:
         """Whether the tails are the policies of least failure, by request or by necessity."""
         merged = self.layer.base.quotient.merged
-        return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self.is_long_shot
+        return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self._has_long_runs
+
+    @cached_property
+    def is_lossy(self) -> bool:
+        """Whether every cap may change the optimum: some start cannot surely avoid the goal."""
+        return bool(self.facts.start[~attention_states(self.facts.model)].any())
+
+    @property
+    def _always_hopes(self) -> bool:
+        """Whether no policy surely avoids the goal from the start."""
+        return float(self.facts.start @ self.facts.riskiest.values.goal) > 0.0
 
     def capped_at(self, cost: float) -> CompiledLayered:
         """Return the problem with a cap near a given cost; a problem with exact tails is unchanged.
@@ -463,8 +495,7 @@ class CompiledLayered(CompiledProblem):
         """
         if self.tails is not Tails.ANY_WAY:
             return self
-        base = self.layer.base
-        exact = float(self.facts.start @ self.facts.riskiest.values.goal) > 0.0
+        base, exact = self.layer.base, self._always_hopes
         most = MOST_ENTRIES // max(base.n_nodes, 1) - 2 * base.width
         layers = int(min(np.ceil(cost / base.unit), max(most, 0))) + base.width
         return replace(self, cap=layers, tails=Tails.LEAST_FAILURE if exact else self.tails)
@@ -564,8 +595,7 @@ class CompiledLayered(CompiledProblem):
             lossless = self.lossless_units(price)
             most = (2.0 if exact and self.charge.is_the_total else MOST_GROWTH) * here
             is_near = (self.is_trial or here < lossless) and lossless <= most
-            is_lossy = bool(self.facts.start[~attention_states(self.facts.model)].any())
-            if is_near and self.is_trial and is_lossy:  # as in ``capped_at``
+            if is_near and self.is_trial and self.is_lossy:  # as in ``capped_at``
                 wanted = 2.0 * lossless
             elif is_near:
                 wanted, tails = lossless, self.tails if self.is_trial else tails

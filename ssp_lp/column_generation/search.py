@@ -422,7 +422,7 @@ def certified(master: Master, row: FailureRow, generated: Generated, tolerance: 
 _STEEP = 5.0  # first price of failure, in units of the first policy's cost
 _STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until columns lie on both sides
 _LEAST_FACTOR = 1.5  # least factor of a step
-_HINTED_STEPS = (1.0, 1e2, 1e4, 1e6)  # steps from a dual guess, in units of its spread
+_HINTED_STEPS = (1.0, 30.0, 1e3, 1e6)  # steps from a dual guess, in units of its spread
 
 
 @dataclass(frozen=True)

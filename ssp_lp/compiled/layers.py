@@ -250,11 +250,14 @@ def _total_of(
     for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
         share, row = layers.data[k], values[layers.nodes[k]]
         begin = np.uint64(at + layers.leads[0, layers.classes[k]])
-        for j in range(many):
-            total[j] += share * row[begin + np.uint64(j)]
         if is_sized:
             for j in range(many):
-                size[j] += abs(share * row[begin + np.uint64(j)])
+                term = share * row[begin + np.uint64(j)]
+                total[j] += term
+                size[j] += abs(term)
+        else:
+            for j in range(many):
+                total[j] += share * row[begin + np.uint64(j)]
 
 
 @compiled_loop(inline="always")

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import bisect_left
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -45,7 +45,14 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import CostQuantileOf, ExcessCharge, LateCharge, TailMeanOf
+from ssp_lp.accumulated_cost.charges import (
+    TOTAL_COST,
+    Charge,
+    CostQuantileOf,
+    ExcessCharge,
+    LateCharge,
+    TailMeanOf,
+)
 from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
 from ssp_lp.analysis.evaluation import Evaluation, complement, success_costs
@@ -273,6 +280,19 @@ class _WithinBudget(_Question):
 
     def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
         """Minimise E[charge | goal] by column generation on layers of accumulated cost."""
+        layer = self.compiled.layer
+        shifts = not layer.by_sums and layer.base.instant.nnz == 0
+        if shifts and isinstance(charge, ExcessCharge) and charge.settled == 0.0:
+            # a multiple of the mean, for which one sweep covers many prices of failure
+            mean, slope = self._least(TOTAL_COST, options, kappa / charge.slope), charge.slope
+            value, bound, price = (
+                slope * part for part in (mean.value, mean.lower_bound, mean.kappa)
+            )
+            return replace(mean, value=value, lower_bound=bound, kappa=price)
+        return self._least(charge, options, kappa)
+
+    def _least(self, charge: Charge, options: SolveOptions, kappa: float) -> _Trial:
+        """Minimise E[charge | goal] for any charge; see :meth:`attempt`."""
         compiled = self._charging(charge, kappa)
         if self.budget is None:
             pricing = compiled.pricing()
@@ -306,7 +326,7 @@ class _WithinBudget(_Question):
         kappa, slack = (0.0, False) if self.budget is None else (guess.kappa, guess.slack)
         return self._charging(charge, kappa).pricing().prove(kappa, slack=slack)
 
-    def _charging(self, charge: _Charge, kappa: float) -> CompiledLayered:
+    def _charging(self, charge: Charge, kappa: float) -> CompiledLayered:
         """Return the compiled problem with a charge, and a cap large enough for a price of failure.
 
         Args:
@@ -316,7 +336,8 @@ class _WithinBudget(_Question):
         compiled = self.compiled.charging(charge)
         if kappa <= 0.0 or self.budget is None:
             return compiled
-        return self.compiled.charging(charge, compiled.lossless_units(kappa))
+        room = 2.0 if compiled.is_lossy else 1.0  # the bound beyond the cap is loose
+        return self.compiled.charging(charge, room * compiled.lossless_units(kappa))
 
     def share(self, proof: Proof) -> float:
         """Return the lower bound of E[charge | goal] that a proof implies."""
@@ -566,16 +587,25 @@ class _TailMeanSearch:
     def refuted(self, first: int, last: int) -> float:
         """Return a lower bound of F (see the module) on all thresholds from first to last.
 
-        It is proved at one price of failure, interpolated between the known ones.
+        It is proved at a price of failure that is interpolated between the known ones. If the
+        budget is slack, the price at a threshold is its value, and the target as the price is
+        enough to prove the target.
         """
         places, middle = self.question.thresholds, (first + last) // 2
         charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
-        nearest = min(self.tried, key=lambda number: abs(number - middle))
-        kappa = self._kappa(middle)
-        self.sweeps += 1
-        slack = kappa <= self.target
-        guess = _Guess(max(kappa, self.target), self.tried[nearest].prices, slack)
-        return self.question.refuted_below(charge, guess)
+        numbers, bound = sorted(self.tried), 0.0
+        nearest = min(numbers, key=lambda number: abs(number - middle))
+        place = bisect_left(numbers, middle)
+        beside = [self.tried[number] for number in numbers[max(place - 1, 0) : place + 1]]
+        slack = [trial.kappa <= trial.value * (1.0 + _ABOVE) for trial in beside]
+        prices = [] if all(slack) else [max(self._kappa(middle), self.target)]
+        for kappa in dict.fromkeys(prices + [self.target] * any(slack)):
+            guess = _Guess(kappa, self.tried[nearest].prices, kappa <= self.target)
+            bound = max(bound, self.question.refuted_below(charge, guess))
+            self.sweeps += 1
+            if bound >= self.target:
+                break
+        return bound
 
     @property
     def target(self) -> float:
@@ -616,16 +646,56 @@ class _TailMeanSearch:
         bounds = [trial.lower_bound for trial in self.tried.values()]
         numbers = sorted(number for number in self.tried if number < last)
         between = 1 if places.sharp else 0  # a grid must cover all real numbers
-        weakest = [
-            (least, after + between, before - between)
+        weakest = sorted(
+            (least, *part)
             for after, before in zip(numbers, [*numbers[1:], last + 1], strict=True)
             if before - after > between
-        ]
+            for part in self._parts(self._reached(after, before, bounds), before - between, between)
+        )
         while weakest and not is_late() and weakest[0][0] < self.target:
             with WithIncumbent():
                 self._split(weakest, bounds)
         best = self.best or best
         return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
+
+    def _reached(self, after: int, before: int, bounds: list[float]) -> int:
+        """Return the first threshold after a tried one that its lower bound does not refute.
+
+        The charge falls by at most 1 / share - 1 where the threshold rises by 1, and F as well.
+
+        Args:
+            after: number of the tried threshold.
+            before: number of the next tried threshold.
+            bounds: bounds of settled thresholds; updated.
+        """
+        places, bound = self.question.thresholds, self.tried[after].lower_bound
+        between, fall = 1 if places.sharp else 0, self.level / (1.0 - self.level)
+        begin, final = places.total(after), before - between
+        end = min(begin + max(bound - self.target, 0.0) / fall, places.total(final))
+        reached = min(places.number(end), final)
+        reached = max(reached - int(places.total(reached) > end), after)
+        if reached > after:
+            bounds.append(bound * (1.0 - 2.0 * _ROUNDING) - (places.total(reached) - begin) * fall)
+        return reached + between
+
+    def _parts(self, first: int, final: int, between: int) -> Iterator[tuple[int, int]]:
+        """Yield parts of an interval, twice as long from part to part away from the quantile.
+
+        Args:
+            first: number of the first threshold.
+            final: number of the last threshold.
+            between: distance from the last threshold of a part to the first one of the next.
+        """
+        is_below, length = final <= self.quantile, 1
+        while first + 1 - between <= final:
+            some = min(length - between, final - first)
+            yield (final - some, final) if is_below else (first, first + some)
+            if some == final - first:
+                return
+            first, final = (
+                (first, final - some - between) if is_below else (first + some + between, final)
+            )
+            length *= 2
 
     def _split(self, weakest: list[tuple[float, int, int]], bounds: list[float]) -> None:
         """Raise the bound of the interval of thresholds whose bound is least, or halve it.

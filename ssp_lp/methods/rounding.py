@@ -357,15 +357,14 @@ def _columns_beside(problem: Problem, outcome: Optimum[Any], shift: float) -> li
         shift: failure of the first column on the true model, minus that with split costs.
     """
     pricing, row, first = outcome.compiled.pricing(), outcome.row, outcome.generated.columns[0]
-    tried = {pricing.policy(first).memory_size}  # each has its own number of layers
-    columns = list[Column]()
+    columns, policy = list[Column](), pricing.policy(first)
+    tried = {policy.cap} if isinstance(policy, CostAwarePolicy) else set[int]()
     for above in (False, True):
         for apart in _APART:
             off = (apart if above else -apart) * abs(shift) - shift
-            policy = pricing.policy_failing(first, row.budget + off, above=above)
-            if policy is None or policy.memory_size in tried:
+            policy = pricing.policy_failing(first, row.budget + off, tried, above=above)
+            if policy is None:
                 continue
-            tried.add(policy.memory_size)
             columns.append(_true_column(problem, outcome, policy))
             if _keeps_to_budget(columns[-1], row) != above:
                 break

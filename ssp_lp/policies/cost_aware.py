@@ -199,22 +199,25 @@ class CostAwarePolicy(Policy):
             return None
         farthest = levels[-2] + costs[moving].max(initial=0.0)
         asks = np.searchsorted(edges, self.tail_threshold, side="right") - 1
-        rank = np.where(self.tail_threshold > farthest, len(edges), asks)
+        rank = np.where(self.tail_threshold > farthest, cap, asks)  # of a total beyond no layer
 
-        def reached(total: FloatArray) -> IntArray:
+        def reached(total: FloatArray, nearest: IntArray | None = None) -> IntArray:
             """Return the layer that each total leads to, in the shape of ``total``."""
-            nearest = _nearest_cost_level(levels, total)
+            nearest = _nearest_cost_level(levels, total) if nearest is None else nearest
             beyond = np.searchsorted(edges, total, side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
 
         passed = np.where(moving, reached(costs), 1)
-        even = _evenly_spaced(levels, costs[moving], int(passed.max(initial=0)))
+        is_even = _evenly_spaced(levels, costs[moving])
+        even = max(cap - 1 - int(passed.max(initial=0)), 0) if is_even else 0
+        even = cap if is_even and not edges.size else even  # one tail for all layers beyond
 
         def leads(level: int) -> IntArray:
             """Return by how many layers a step of each cost moves up from a level, [costs]."""
             if level < even:
                 return passed
-            return np.where(moving, reached(levels[level] + costs) - level, 1)
+            nearest = level + passed if is_even else None
+            return np.where(moving, reached(levels[level] + costs, nearest) - level, 1)
 
         leads_to = reached(levels[:cap] + costs[moving].max(initial=0.0))
         return CostLayers(
@@ -260,18 +263,17 @@ class CostAwarePolicy(Policy):
         return f"CostAwarePolicy({self.cap} layers of cost {self.unit:g})"
 
 
-def _evenly_spaced(levels: FloatArray, costs: FloatArray, most: int) -> int:
-    """Return the number of first levels from which each step moves up as far as from level 0.
+def _evenly_spaced(levels: FloatArray, costs: FloatArray) -> bool:
+    """Return whether each step moves up as far from every level as from level 0.
 
     Args:
         levels: levels of a cost-aware policy, [levels].
         costs: costs of its steps, [costs].
-        most: greatest number of levels by which a step from level 0 moves up.
     """
     units, count = costs / levels[1], np.arange(len(levels))
     is_even = np.abs(levels / levels[1] - count).max() <= _ROUNDING
     is_apart = (np.abs(units - np.floor(units) - 0.5) > 2.0 * _ROUNDING).all()
-    return max(len(levels) - 2 - most, 0) if is_even and is_apart else 0
+    return bool(is_even and is_apart)
 
 
 def _nearest_cost_level(levels: FloatArray, totals: FloatArray) -> IntArray:
