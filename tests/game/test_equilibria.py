@@ -706,3 +706,54 @@ def test_the_least_failure_within_a_horizon():
         stationary_game(MCMP(model, "x", 0.05, discount=0.9, horizon=2))
     assert caught.value.least_failure == pytest.approx(1 / 16)
     assert caught.value.least_discounted_failure == pytest.approx(1 - 0.75 * (0.9 + 0.81 / 4))
+
+
+# What lies beyond a horizon or a cap, where it costs nothing more: the bounds are nearly attained.
+
+PATIENT = {
+    "x": {"pay": [(1.0, "y", 2.0)]},
+    "y": {
+        "likely": [(0.05, "g", 0.0), (0.9, "y", 0.0), (0.05, "d", 0.0)],
+        "rarely": [(0.01, "g", 0.0), (0.9, "y", 0.0), (0.09, "d", 0.0)],
+    },
+    "d": {},
+}
+"""The goal is reached with 1/2 or with 1/10, after 11 steps in the mean, for 2."""
+NEARLY = 1.0 - 1e-7
+
+
+@pytest.mark.parametrize("horizon", [1, 2, 16, 64])
+@pytest.mark.parametrize("cap", [1, 2, 16])
+@pytest.mark.parametrize("price", [0.25, 1.5, 2.5, 40.0])
+def test_bounds_beyond_are_those_of_the_greatest_and_the_least_success(
+    price, cap, horizon, monkeypatch
+):
+    """(2 - price) q is least at the greatest success if the price is above 2, else at the least."""
+    player = bayes_player(S3P(model_of(PATIENT), "x", failure_budget=0.95, discount=NEARLY))
+    exact = min(20.0 * q - price * q * NEARLY**2 / (1.0 - 0.9 * NEARLY) for q in (0.05, 0.01))
+    room = 1e-5 * (1.0 + price)
+    reply = player._response(np.array([1.0, price]), cap, horizon)
+    assert exact + price - room <= reply.bound <= (exact + price) * (1 + 1e-13)
+    assert reply.payoff(1.0, price) >= (exact + price) * (1 - 1e-13)
+    monkeypatch.setattr(type(player), "response", lambda self, *asked: reply)
+    assert exact - room <= player.surplus(price, 1e-3) <= exact + 1e-13
+
+
+def test_responses_of_the_unapproximated_game_are_as_near_as_asked():
+    """In both cases; the order of the actions, one of which waits for ever, changes no value."""
+    for criterion in (MCMP, S3P):
+        told, waits = [], {"wait": [(1.0, "x", 1)]}
+        for actions in ({**RETRY["x"], **waits}, {**waits, **RETRY["x"]}):
+            problem = hand_problem(criterion, {**RETRY, "x": actions}, 0.5, 0.95)
+            player = bayes_player(problem)
+            for accuracy in (1e-2, 1e-5, 1e-10):
+                for price in (0.5, 5.0, 50.0):
+                    reply = player.response(1.0, price, accuracy)
+                    pays = reply.payoff(1.0, price)
+                    assert 0.0 <= pays - reply.bound <= accuracy * pays * (1 + 1e-9)
+            told.append(bayes_adaptive(problem, tolerance=1e-8).objective)
+        assert told[0] == pytest.approx(told[1], rel=1e-7)
+    slow = {"x": {"slow": [(0.05, "g", 1), (0.95, "x", 1)], "fast": [(0.5, "g", 1), (0.5, "d", 1)]}}
+    player = bayes_player(hand_problem(S3P, slow | {"d": {}}, 0.9, 0.5))
+    reply = player.response(1.0, 100.0, 1e-6)  # what fails has faded long before what is paid
+    assert reply.payoff(1.0, 100.0) - reply.bound <= 1e-6 * reply.payoff(1.0, 100.0)
