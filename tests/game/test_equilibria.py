@@ -757,3 +757,29 @@ def test_responses_of_the_unapproximated_game_are_as_near_as_asked():
     player = bayes_player(hand_problem(S3P, slow | {"d": {}}, 0.9, 0.5))
     reply = player.response(1.0, 100.0, 1e-6)  # what fails has faded long before what is paid
     assert reply.payoff(1.0, 100.0) - reply.bound <= 1e-6 * reply.payoff(1.0, 100.0)
+
+
+@pytest.mark.parametrize("price", [0.5, 2.0, 8.0, 64.0])
+@pytest.mark.parametrize("weight", [1.0, 0.25])
+def test_a_bound_at_a_fixed_cap_in_fractions(price, weight):
+    """One step of either action; then M = 1 is paid, and pi'_or, which is ``rush``, is followed.
+
+    From there on J_obj is undiscounted: 1 / 2 of the runs arrive at each step, 1 / 4 go on.
+    """
+    chances = {"rush": (0.5, 0.25), "care": (0.25, 0.6875)}
+    table = {
+        name: [(goal, "g", 1.0), (stay, "x", 1.0), (1.0 - goal - stay, "d", 1.0)]
+        for name, (goal, stay) in chances.items()
+    }
+    problem = S3P(model_of({"x": table, "d": {}}), "x", failure_budget=0.9, discount=0.75)
+    gamma, ahead = Fraction(3, 4), Fraction(1, 2) / Fraction(3, 4)  # P(goal) of rush
+    cost, early = ahead / Fraction(3, 4), Fraction(1, 2) / (1 - gamma / 4)
+    payoffs = [
+        Fraction(weight) * (Fraction(goal) + gamma * Fraction(stay) * (ahead + cost))
+        + Fraction(price) * (1 - gamma * (Fraction(goal) + Fraction(stay) * gamma * early))
+        for goal, stay in chances.values()
+    ]
+    reply = stationary_player(problem, tail=1).response(weight, price, 1e-12)
+    assert Fraction(reply.bound) <= min(payoffs)
+    assert reply.bound == pytest.approx(float(min(payoffs)), rel=1e-13)
+    assert reply.payoff(weight, price) == pytest.approx(float(min(payoffs)), rel=1e-14)
