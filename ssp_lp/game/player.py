@@ -319,11 +319,9 @@ class Player:
 
     @cached_property
     def origin(self) -> float:
-        """Origin of J_cond, chosen so that no digits are lost (see ``BestResponse``)."""
-        base, is_rare = self.base, False
-        if self.counts_total:
-            is_rare = float(base.start @ self.tails.greatest_goal) + base.start_goal <= _RARE
-        return float(is_rare)
+        """Origin of J_cond in case S, by which no digits are lost (see ``BestResponse``)."""
+        reachable = float(self.base.start @ self.tails.greatest_goal) + self.base.start_goal
+        return float(reachable <= _RARE)
 
     @cached_property
     def undiscounted_tail(self) -> LayeredTails:
@@ -565,11 +563,6 @@ class BayesPlayer(Player):
 
     with W_t = (w_o + gamma^t w_d) J(x, alpha_t). (T as printed in the paper weights G-bar twice.)
     """
-
-    @cached_property
-    def origin(self) -> float:
-        """Origin of J_cond, which is 0 here."""
-        return 0.0
 
     @cached_property
     def stationary(self) -> Player:

@@ -11,7 +11,7 @@ from games import RETRY, criteria, game_at, hand_problem, matrix_game_value, max
 from references.frontier import Point, constrained_optimum, constrained_ratio
 from refusing import refused
 from small_models import TWO_MOVES, model_of
-from ssp_lp import InfeasibleError, ModelError, SolverError
+from ssp_lp import InfeasibleError, ModelError, SolverError, evaluate
 from ssp_lp.compiled.deadline import until
 from ssp_lp.game import (
     Equilibrium,
@@ -783,3 +783,66 @@ def test_a_bound_at_a_fixed_cap_in_fractions(price, weight):
     assert Fraction(reply.bound) <= min(payoffs)
     assert reply.bound == pytest.approx(float(min(payoffs)), rel=1e-13)
     assert reply.payoff(weight, price) == pytest.approx(float(min(payoffs)), rel=1e-14)
+
+
+SLOW = {
+    "x": {"slow": [(0.1, "g", 1), (0.85, "y", 2), (0.05, "d", 1)],
+          "rash": [(0.3, "g", 1), (0.3, "y", 1), (0.4, "d", 1)]},
+    "y": {"back": [(1.0, "x", 1)], "on": [(0.2, "g", 3), (0.7, "y", 1), (0.1, "d", 1)]},
+    "d": {},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("price", [0.5, 5.0, 50.0])
+@pytest.mark.parametrize("cap", [1, 2, 7, 40])
+def test_what_a_response_states_is_what_its_policy_attains(cap, price):
+    """At any cap and horizon, tails included: both costs, by an evaluation of the policy."""
+    start, weights = {"x": 0.75, "y": 0.25}, np.array([1.0, price])
+    problem = S3P(model_of(SLOW), start, failure_budget=0.9, discount=0.9)
+    player = stationary_player(problem)
+    reply = player._swept(weights, cap)
+    told = evaluate(player.policy(reply), problem)
+    assert reply.condition == pytest.approx(told.discounted_failure, rel=1e-12)
+    assert reply.ratio == pytest.approx(told.objective, rel=1e-12)
+    for criterion, horizon in ((S3P, 1), (S3P, 6), (MCMP, 1), (MCMP, 6)):
+        problem = criterion(model_of(SLOW), start, failure_budget=0.9, discount=0.9)
+        player = bayes_player(problem)
+        reply = player._response(weights, cap if criterion is S3P else 1, horizon)
+        told = evaluate(player.policy(reply), problem)
+        paid = told.success_cost if criterion is S3P else told.expected_cost
+        assert reply.condition == pytest.approx(told.discounted_failure, rel=1e-12)
+        assert reply.objective == pytest.approx(paid, rel=1e-12)
+
+
+def pressed(*_):
+    """Somebody presses Ctrl-C."""
+    raise KeyboardInterrupt
+
+
+def test_value_functions_of_the_game(monkeypatch):
+    """RETRY by hand, at price 10; a start on goals or dead-ends has a value of its own."""
+    price, gamma = 10.0, 0.95
+    fails = 1.0 - gamma + gamma * 0.2
+    known = (1.0 + gamma * 0.2 + price * fails) / (1.0 - gamma * 0.3)
+    for start, value in (
+        ({"x": 1.0}, None), ({"x": 0.5, "g": 0.5}, 0.5 * known),
+        ({"x": 0.5, "d": 0.5}, 0.5 * known + 0.5 * (1.0 + price)),
+    ):  # fmt: skip
+        problem = MCMP(model_of(RETRY), start, failure_budget=0.9, discount=gamma)
+        player = stationary_player(problem)
+        told = player.value_function(price, [])
+        assert told == pytest.approx(np.array([known] if value is None else [known, value]))
+        assert told[0] <= known * (1 + 1e-15)
+        with until(float("inf")), monkeypatch.context() as interrupted:
+            interrupted.setattr(type(player), "response", pressed)
+            late = player.value_function(price, [])
+        assert late.shape == told.shape
+        assert np.isinf(late).all()
+    whole = stationary_player(hand_problem(S3P, RETRY, 0.5, gamma))
+    responses = [whole._swept(np.array([1.0, price]), cap) for cap in (3, 9, 5)]
+    layers = responses[1].strategy.choice.shape[1:]
+    assert layers[0] >= 9
+    assert whole.value_function(price, responses).shape == layers
+    root = {"x": {"go": [(0.5, "g", 1.0), (0.4, "x", 2.0**0.5), (0.1, "x", 1.0)]}}
+    odd = stationary_player(hand_problem(S3P, root, 0.5, gamma))
+    assert odd.value_function(price, []).tolist() == [np.inf]
