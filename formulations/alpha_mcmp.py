@@ -20,9 +20,9 @@ class AlphaMCMP(Formulation):
 
     Guarantee:
         a lottery over at most two deterministic stationary policies attains the optimum. The cost
-        is a convex function of the share. With the published semantics it is linear from 0 up to
-        the share of the policy with the least cost per goal probability, since giving up at the
-        start is free.
+        is a convex function of the share. With the published semantics giving up at the start is
+        free, so the cost is linear from share 0 up to the share of the policy with the least cost
+        per goal probability.
 
     Semantics:
         as published, giving up is allowed anywhere and costs nothing. ``MCMP(reach_fraction=...)``
@@ -36,8 +36,8 @@ class AlphaMCMP(Formulation):
         model: the model.
         start: a state, or ``{state: probability}``.
         reach_fraction: alpha in [0, 1].
-        give_up: "anywhere", "attention" or "dead_ends".
-        charge_failing_step: charge the failing step.
+        give_up: where a policy may give up: "anywhere", "attention" or "dead_ends".
+        charge_failing_step: charge the step at which failure is declared.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 

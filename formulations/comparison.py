@@ -45,8 +45,8 @@ class CriterionRow:
         """Numbers of a compared criterion: objective, costs, failure probability and price.
 
         Each row follows the semantics of its criterion. By default ``MCMP`` and ``ConstrainedCost``
-        charge the failing step. The other criteria do not, so the same policy may cost less in
-        their rows.
+        charge the step at which failure is declared. The other criteria do not, so a policy may
+        cost less in their rows.
         ``FinitePenalty`` and ``AlphaMCMP`` let a policy give up anywhere.
         """
         solution = self.solution
@@ -77,7 +77,7 @@ class CriteriaComparison(Report):
             if row.criterion == criterion:
                 return row
         nearest = did_you_mean(criterion, [row.criterion for row in self.rows], "there are")
-        raise KeyError(f"{criterion!r} is not a row{nearest}")
+        raise KeyError(f"{criterion!r} is not a row of the table{nearest}")
 
     def __repr__(self) -> str:
         """Return a line with the number of criteria; :meth:`summary` is the table."""
@@ -115,11 +115,11 @@ def compare_criteria(
         failure_budgets: budgets of ``MCMP`` and ``S3P``, in addition to least failure.
         penalties: penalties D of ``FinitePenalty``, in units of cost.
         reach_fractions: shares of the greatest goal probability for ``AlphaMCMP``.
-        cost_bounds: bounds of ``CostBoundedReach``, without and within each budget.
-        levels: levels of ``CostQuantile`` and ``CVaR``, with least failure and within each budget.
-        exponential_utilities: (risk factor, goal bonus) of ``EGUBS``.
-        limits: of ``ConstrainedCost``, with least failure and within each budget.
-        horizon: of every criterion: the goal counts only within so many steps.
+        cost_bounds: bounds of ``CostBoundedReach``; a row without a budget and one for each budget.
+        levels: levels of ``CostQuantile`` and ``CVaR``; rows for least failure and for each budget.
+        exponential_utilities: pairs (risk factor, goal bonus) for ``EGUBS``.
+        limits: limits of ``ConstrainedCost``; rows for least failure and for each budget.
+        horizon: number of steps within which the goal counts, in every row; None: unlimited.
         verbose: show progress (``ssp_lp.progress_shown``).
 
     Returns:
@@ -149,7 +149,7 @@ def compare_criteria(
     """
 
     def asked(criterion: type[Any], words: str, *given: Any, **named: Any) -> tuple[str, Problem]:
-        """Return a compared criterion's name and problem."""
+        """Return the name of a row, such as "MCMP, failure budget 0.05", and its problem."""
         problem = criterion(model, start, *given, horizon=horizon, **named)
         return f"{criterion.__name__}{words}", problem
 

@@ -32,13 +32,14 @@ class ConstrainedCost(Formulation):
     Guarantee:
         the optimum is attained by a lottery over at most (active rows + 1) deterministic stationary
         policies; ``prices`` holds the dual of each row by name: minus the slope of the optimal
-        cost in its bound. An infeasible problem names rows that contradict each other, with proof.
+        cost in its bound. If no policy satisfies all rows, the error names rows that contradict
+        each other and carries a proof.
 
     Semantics:
         every secondary cost is counted like the cost: until failure is declared, and discounted if
-        a discount is given. With ``charge_failing_step`` failing is charged the least secondary
-        cost of the step. Policies that pay any of the costs for ever are excluded. With least
-        failure the limits choose among the policies of the greatest goal probability.
+        a discount is given. With ``charge_failing_step``, failing in a state is also charged the
+        state's least secondary cost. Policies that pay any of the costs for ever are excluded. With
+        least failure the limits choose among the policies of the greatest goal probability.
 
     Reference:
         Trevizan, Thiebaux, Santana, Williams: Heuristic search in dual space for constrained
@@ -52,8 +53,9 @@ class ConstrainedCost(Formulation):
             entries that are missing), or as an array by pair or by outcome.
         failure_budget: largest failure probability; None: as low as possible; 1: unlimited.
         discount: None for exact numbers, or gamma in (0, 1).
-        give_up: "anywhere", "attention" (the paper) or "dead_ends".
-        charge_failing_step: charge the failing step (the paper's section 3.1.2).
+        give_up: where a policy may give up: "anywhere", "attention" (the paper) or "dead_ends".
+        charge_failing_step: charge the step at which failure is declared (the paper's section
+            3.1.2).
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
@@ -87,5 +89,5 @@ class ConstrainedCost(Formulation):
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
-        """Constraints of least cost within limits on secondary costs."""
+        """Upper bounds of ``limits`` as constraints, by name."""
         return constraints_of(self.limits)

@@ -19,14 +19,14 @@ class CostBoundedReach(Formulation):
 
     Program:
         minimise <-in time, x> subject to flow balance, <failure, x> <= failure_budget, x >= 0 over
-        states x accumulated cost (paper, section 3.1.1), with one layer per unit of cost up to the
-        bound. Beyond the bound there are no layers, since only the goal probability counts there.
+        states x accumulated cost (paper, section 3.1.1), where "in time" counts arrivals at the
+        goal within the bound. There is one layer per unit of cost up to the bound, and none beyond
+        it, since only the goal probability counts there.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
-        optimum; without a budget one policy suffices. The table of costs ends at the bound, so
-        nothing is truncated. ``upper_bound`` comes from a checked sub-solution of the priced
-        problem.
+        optimum; without a budget one policy suffices. The layers end at the bound, so nothing is
+        truncated. ``upper_bound`` comes from a checked sub-solution of the pricing problem.
 
     Semantics:
         exact; costs and bound are compared as exact decimals or fractions, so that three steps of
@@ -42,7 +42,7 @@ class CostBoundedReach(Formulation):
         start: a state, or ``{state: probability}``; the budget holds in expectation.
         cost_bound: greatest total cost, a number or a fraction, not negative.
         failure_budget: largest failure probability; None: as low as possible.
-        cost_levels: greatest number of totals that are distinguished, as in ``S3P``.
+        cost_levels: greatest number of distinct total costs that the program counts; see ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 

@@ -65,7 +65,8 @@ class CostBudgetedMaxProb(Formulation):
         model: the model.
         start: a state, or ``{state: probability}``; the budget holds in expectation.
         cost_budget: the largest expected total cost, a number, finite and not negative.
-        give_up: "attention" (the paper), "dead_ends" or "anywhere".
+        give_up: where a policy may give up, see above: "attention" (the paper), "dead_ends" or
+            "anywhere".
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
@@ -102,5 +103,5 @@ class CostBudgetedMaxProb(Formulation):
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
-        """Constraint of MAXPROB within a budget of expected cost."""
+        """Upper bound of the expected cost as a constraint, under the name "cost budget"."""
         return {COST_BUDGET: expected_cost() <= self.cost_budget}

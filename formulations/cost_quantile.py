@@ -26,8 +26,8 @@ class CostQuantile(Formulation):
         for a bound B, minimise <late, x> / <goal, x> subject to flow balance, <failure, x> <=
         failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1), where late
         counts the arrivals beyond B: the program of ``S3P`` with another charge. Its optimum falls
-        as B grows, and Newton's method finds B. At given prices one sweep rules out all bounds B
-        that these prices can rule out.
+        as B grows, and Newton's method finds the least B. For given prices, one sweep shows for
+        every B whether these prices prove that it is too small.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
@@ -48,7 +48,7 @@ class CostQuantile(Formulation):
         start: a state, or ``{state: probability}``; the budget holds in expectation.
         level: strictly between 0 and 1.
         failure_budget: largest failure probability; None: as low as possible.
-        cost_levels: greatest number of totals that are distinguished, as in ``S3P``.
+        cost_levels: greatest number of distinct total costs that the program counts; see ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 

@@ -24,9 +24,9 @@ class CVaR(Formulation):
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
-        optimum. Every threshold z has a lower bound: a checked sub-solution for z, or for an
-        interval around z, or z itself, since no tail mean is below its threshold.
-        ``lower_bound`` is the least of these bounds.
+        optimum. For every threshold z there is a lower bound of the objective: from a checked
+        sub-solution for z, from one for an interval around z, or z itself, since no tail mean is
+        below its threshold. ``lower_bound`` is the least of these bounds.
 
     Semantics:
         exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. If a part of
@@ -42,7 +42,7 @@ class CVaR(Formulation):
         start: a state, or ``{state: probability}``; the budget holds in expectation.
         level: at least 0 and below 1.
         failure_budget: largest failure probability; None: as low as possible.
-        cost_levels: greatest number of totals that are distinguished, as in ``S3P``.
+        cost_levels: greatest number of distinct total costs that the program counts; see ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 

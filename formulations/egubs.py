@@ -18,14 +18,14 @@ class EGUBS(Formulation):
 
     Program:
         minimise <-worth, x> subject to flow balance, x >= 0 over states x accumulated cost (paper,
-        section 3.1.1), the worth of an arrival at total cost c being exp(risk_factor * c) +
+        section 3.1.1). The worth of reaching the goal at total cost c is exp(risk_factor * c) +
         goal_bonus.
 
     Guarantee:
         a deterministic policy of (state, accumulated cost) attains the optimum. Beyond a finite
-        accumulated cost, ``cost_horizon``, a stationary policy is optimal: the greatest goal
-        probability first, then the greatest exponential moment. The table of costs ends there, so
-        that nothing is truncated; ``upper_bound`` is checked.
+        accumulated cost, ``cost_horizon``, a stationary policy is optimal: it has the greatest goal
+        probability and, among such policies, the greatest exponential moment. The layers of cost
+        end there, so that nothing is truncated; ``upper_bound`` is checked.
 
     Semantics:
         exact. Wandering for ever is failure. Without a bonus the optimum is the stationary
@@ -40,7 +40,7 @@ class EGUBS(Formulation):
         start: a state, or ``{state: probability}``.
         risk_factor: lambda < 0, per unit of cost.
         goal_bonus: K_g >= 0.
-        cost_levels: greatest number of totals that are distinguished, as in ``S3P``.
+        cost_levels: greatest number of distinct total costs that the program counts; see ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 

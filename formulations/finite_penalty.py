@@ -39,14 +39,14 @@ class FinitePenalty(Formulation):
         start: a state, or ``{state: probability}``.
         penalty: paid for failing, a positive number.
         discount: None for exact probabilities, or gamma in (0, 1).
-        give_up: "anywhere", "attention" or "dead_ends".
-        charge_failing_step: charge the failing step as well.
+        give_up: where a policy may give up: "anywhere", "attention" or "dead_ends".
+        charge_failing_step: charge the step at which failure is declared, too.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         box: intervals of the probabilities; the worst case over all of them counts.
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
     Returns:
-        the problem. Solved: cost and penalty together as ``objective``, a certified
+        the problem; its solution has cost plus penalty as ``objective``, a certified
         ``lower_bound``, and one deterministic stationary policy.
 
     Raises:

@@ -23,14 +23,14 @@ class GUBS(Formulation):
         utility_at_infinity more than failing. The process is that of ``S3P`` with another charge.
 
     Guarantee:
-        a deterministic policy of (state, accumulated cost) attains the optimum. Beyond the table
-        of costs the utility is bounded by its limit from below and by its value at the table's end
-        from above; the table grows until the certified gap meets the tolerance. If a utility is far
-        from its limit after 100,000 layers, the reported gap stays above the tolerance.
+        a deterministic policy of (state, accumulated cost) attains the optimum. Beyond the last
+        layer of cost the utility is at least its limit and at most its value at the last layer;
+        layers are added until the certified gap meets the tolerance. If a utility is far from its
+        limit after 100,000 layers, the reported gap stays above the tolerance.
 
     Semantics:
-        exact. Wandering for ever is failure. ``utility`` must not increase, maps arrays to arrays
-        and is evaluated only at totals that are distinguished.
+        exact. Wandering for ever is failure. ``utility`` must not increase, maps arrays to arrays,
+        and is evaluated only at the total costs that the program counts.
 
     Reference:
         Freire and Delgado, AAMAS 2017 (GUBS). For the exponential utility see ``EGUBS``.
@@ -41,7 +41,7 @@ class GUBS(Formulation):
         utility: non-increasing function of the total cost, on arrays.
         goal_bonus: K_g >= 0.
         utility_at_infinity: limit of the utility, and the worth of failing.
-        cost_levels: greatest number of totals that are distinguished, as in ``S3P``.
+        cost_levels: greatest number of distinct total costs that the program counts; see ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 

@@ -26,10 +26,9 @@ class ISSPUDE(Formulation):
 
     Semantics:
         the cost of failing runs does not matter. ``S3P(failure_budget=None)`` has the same optimum
-        and the same policies. It defines the two stages for costs of any kind, also in dead-ends,
-        and ``S3P(failure_budget=...)`` relaxes the first stage to a budget. ``MCMP`` with least
-        failure shares the first stage; its second stage also counts the cost of failing runs, up to
-        the failure.
+        and the same policies; ``S3P(failure_budget=...)`` relaxes the first stage to a budget.
+        S3P also allows any costs in dead-ends. ``MCMP`` with least failure shares the first stage;
+        its second stage also counts the cost of failing runs, up to the failure.
 
     Reference:
         Kolobov, Mausam and Weld, UAI 2012; Teichteil-Koenigsbuch, AAAI 2012 (S3P).

@@ -24,7 +24,7 @@ class LeastQuantity(Formulation):
         optimum; ``lower_bound`` is certified.
 
     Semantics:
-        that of ``MCMP``, with the quantity in place of the cost and giving up uncharged by default.
+        that of ``MCMP``, with the quantity in place of the cost; by default giving up adds nothing.
         If an end has a negative weight, failing is declared only on giving up or entering a
         dead-end.
 
@@ -37,8 +37,9 @@ class LeastQuantity(Formulation):
         quantity: the objective, such as ``visits("ward") + 2.0 * secondary_cost(fuel)``.
         failure_budget: largest failure probability; None: as low as possible; 1: unlimited.
         discount: None for exact numbers, or gamma in (0, 1).
-        give_up: "anywhere", "attention" (the paper) or "dead_ends".
-        charge_failing_step: charge the failing step (the paper's section 3.1.2).
+        give_up: where a policy may give up: "anywhere", "attention" (the paper) or "dead_ends".
+        charge_failing_step: charge the step at which failure is declared (the paper's section
+            3.1.2).
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 
@@ -47,8 +48,8 @@ class LeastQuantity(Formulation):
         the ``prices`` of all rows, and a lottery over at most (active rows + 1) policies.
 
     Raises:
-        ModelError: a budget or a discount out of range, an unknown start or ``give_up``, or costs
-            or visits that would be maximised.
+        ModelError: a budget or a discount out of range, an unknown start or ``give_up``, or a
+            negative weight of costs or visits, which would be maximised.
 
     Example:
         >>> from ssp_lp import SSP, end_probability, solve, visits

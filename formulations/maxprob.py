@@ -20,9 +20,9 @@ class MaxProb(Formulation):
         end component is collapsed into one place; the optimum is 1 - ``objective``.
 
     Guarantee:
-        a deterministic stationary policy attains the greatest probability from every state at
-        once. ``upper_bound`` comes from a checked super-solution of the optimality equations;
-        ``lower_bound`` is the policy's own probability, and ``gap`` the distance of the two.
+        one deterministic stationary policy attains the greatest probability from every state.
+        ``upper_bound`` comes from a checked super-solution of the optimality equations;
+        ``lower_bound`` is the policy's own probability, and ``gap`` their distance.
 
     Semantics:
         exact; wandering for ever is failure. Any policy of greatest probability may be returned:
@@ -37,7 +37,8 @@ class MaxProb(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
-        give_up: "anywhere", "attention" (the paper) or "dead_ends"; relevant with limits only.
+        give_up: where a policy may give up: "anywhere", "attention" (the paper) or "dead_ends". It
+            makes a difference only with limits.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         box: intervals of the probabilities; the worst case over all of them counts.
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.

@@ -26,8 +26,9 @@ class MCMP(Formulation):
 
     Semantics:
         ``give_up``: where a policy may declare failure (``GiveUp``); ``charge_failing_step``:
-        whether the step at which failure is declared is paid. Their defaults are the paper's,
-        "attention" and True; with ``reach_fraction`` the published ones, "anywhere" and False.
+        whether the step at which failure is declared is paid. The defaults are the paper's,
+        "attention" and True; with ``reach_fraction`` they are "anywhere" and False, as published
+        for alpha-MCMP.
         With a ``discount`` both cost and failure are discounted (section 3.5).
 
     Reference:
@@ -39,8 +40,10 @@ class MCMP(Formulation):
         start: a state, or ``{state: probability}``; the budget holds in expectation.
         failure_budget: largest failure probability; None: as low as possible.
         discount: None for exact probabilities, or gamma in (0, 1).
-        give_up: "anywhere", "attention" (the paper) or "dead_ends"; None: as above.
-        charge_failing_step: charge the failing step (the paper's section 3.1.2); None: as above.
+        give_up: where a policy may give up: "anywhere", "attention" (the paper) or "dead_ends";
+            None: the default under Semantics.
+        charge_failing_step: charge the step at which failure is declared (the paper's section
+            3.1.2); None: the default under Semantics.
         reach_fraction: instead of a budget, the least share of the greatest goal probability (of
             the undiscounted one, also under a discount).
         constraints: name -> constraint on a quantity, any number (``Formulation``).

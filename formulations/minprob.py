@@ -21,12 +21,13 @@ class MinProb(Formulation):
         attention states, in which the goal can be avoided for ever.
 
     Guarantee:
-        a deterministic stationary policy attains the least probability from every state at once.
+        one deterministic stationary policy attains the least probability from every state.
         ``lower_bound`` comes from a checked sub-solution of the optimality equations.
 
     Semantics:
-        exact, wandering for ever is not reaching. At an attention state that is not a dead-end the
-        policy gives up; ``acting_everywhere`` avoids the goal from there on.
+        exact; a run that wanders for ever does not reach the goal. At an attention state that is
+        not a dead-end the policy gives up; ``acting_everywhere`` extends it by actions that avoid
+        the goal.
 
     Reference:
         paper, section 2.3.

@@ -44,12 +44,12 @@ class S3P(Formulation):
         start: a state, or ``{state: probability}``; the budget holds in expectation.
         failure_budget: largest failure probability; None: as low as possible.
         discount: None for exact probabilities, or gamma in (0, 1).
-        cost_cap: fix the cap M on accumulated cost; None: chosen as above.
+        cost_cap: fixed cap M on accumulated cost; None: M grows as described under Semantics.
         reach_fraction: instead of a budget, the least share of the greatest goal probability (of
             the undiscounted one, also under a discount).
-        cost_levels: greatest number of totals that are distinguished; None: as many as costs and
-            tolerance require. Costs without a common unit are distinguished by their sums or, if
-            these are too many, on a grid, which leaves a gap that is reported.
+        cost_levels: greatest number of distinct total costs that the program counts; None: as many
+            as costs and tolerance require. If costs have no common unit, the totals are all sums
+            that can occur or, if these are too many, a grid, which leaves a reported gap.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
 

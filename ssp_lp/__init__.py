@@ -20,8 +20,8 @@ __all__ = sorted(_ON_DEMAND)
 def _add_formulations() -> None:
     """Make the criteria importable: a wheel holds them inside the package, a checkout beside it.
 
-    The modules have the same names in both cases. So a pickle of one can be read with the other,
-    and another package called ``formulations`` does no harm.
+    The modules have the same names in both cases. So a pickle that was written with a wheel can be
+    read in a checkout, and another package called ``formulations`` does no harm.
     """
     inner = f"{__name__}.formulations"
     if find_spec(inner) is None:
@@ -42,7 +42,7 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> object:
-    """Import a name on first use: the help of the command line needs no such import."""
+    """Import a public name on first use, so that ``ssp-lp --help`` starts fast."""
     if name in _ON_DEMAND:
         globals()[name] = member = getattr(import_module(_ON_DEMAND[name]), name)
         return member

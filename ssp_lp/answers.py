@@ -148,8 +148,8 @@ class Answers(Report):
         """Return a table with a row for each problem; its text shows the first rows and the errors.
 
         Columns: criterion, each argument that differs (models by their numbers), then objective,
-        bound (certified), gap, failure (as limited), price, seconds, the status or the class of the
-        error, and the error's message.
+        bound (certified), gap, failure (discounted if the problem is), price, seconds, the status
+        or the class of the error, and the error's message.
         """
         asked = self._asked()
         stated = zip(*asked.values(), strict=True)
@@ -478,7 +478,7 @@ class _Crew:
             answer: Answer = self._cargo.unpack(packed)
             return answer
         if place in self._without_file:
-            return SolverError("the worker could not read the models that were sent to it")
+            return SolverError("a worker could not read its models: pass the problem to solve")
         self._without_file.add(place)
         self._waiting.appendleft(place)
         return None
@@ -495,7 +495,7 @@ class _Crew:
 
     @property
     def _error(self) -> SolverError:
-        """Answer for the remaining problems if the crew cannot be repaired."""
+        """Error that answers the remaining problems if no worker can be started any more."""
         if not self._is_own:
             return SolverError("the executor broke or was shut down: pass a new one, or none")
         return SolverError(

@@ -24,13 +24,13 @@ PROBABILITY_SUM: Final = 1e-9
 """Largest deviation from 1 of a sum of probabilities that division corrects; more is an error."""
 
 SINGLE_PRECISION_SUM: Final = 1e-5
-"""Same limit if normalisation is requested, for probabilities in float32 or with few digits."""
+"""Largest deviation from 1 that ``normalise=True`` corrects: of float32, or of few digits."""
 
 MAXIMISER: Final = 1e-12
 """Relative distance to the best goal probability within which an action still counts as maximising.
 
 Linear solves leave errors of 1e-15 to 1e-14. On the paper's robot 1e-16 loses true maximisers, and
-1e-8 changes the cost at least failure by 4e-4.
+1e-8 changes the least cost of the safest policies by 4e-4.
 """
 
 LEAST_RISE: Final = 1e-300
@@ -40,11 +40,11 @@ FAILURE_FLOOR: Final = 1e-15
 """Difference of two failure probabilities that counts as 0, as a share of the goal probability.
 
 Far from any hazard least failures are 1e-100 or 1e-233: a search for gains relative to these would
-not end, and no episode would show the difference. As a share of the goal probability it keeps all
-digits of rare goals, and of probabilities in components that are solved without subtractions.
-Policies are improved if they gain at least a tenth of it. Where cost decides among policies of
-equal failure, a step may lose a hundred times as much, so that rounding does not decide which pairs
-are equal.
+not end, and no episode would show the difference. As a share of the goal probability the tolerance
+keeps all digits of rare goals, and of probabilities in components that are solved without
+subtractions. A policy is improved if it gains at least a tenth of the tolerance. Where cost decides
+among policies of equal failure, a step may lose a hundred times the tolerance, so that rounding
+does not decide which pairs are equal.
 """
 
 LEAST_BUDGET: Final = 1e-10
@@ -68,9 +68,10 @@ does not fit into memory.
 """
 
 BELOW_RATIO: Final = 1.0 - 2.5e-10
-"""Share of a ratio at which the ratio is proved a second time if the budget may be slack.
+"""Share of the optimal ratio: a price at which it is proved again if the budget may be slack.
 
-There failing is strictly best, so that rounding does not matter (``FailureRow.lower_bound``).
+At this lower price failing is strictly best, so that rounding does not matter
+(``FailureRow.lower_bound``).
 """
 
 RELATIVE_GAP: Final = 1e-9
@@ -108,7 +109,7 @@ class ReadOnlyCopies:
 
 
 def fields_of(record: Any, declared: Any) -> dict[str, Any]:
-    """Return the fields that a dataclass declares with their values in a record, not copied."""
+    """Return a record's values, not copied, by the names of a dataclass's fields."""
     return {part.name: getattr(record, part.name) for part in fields(declared)}
 
 
@@ -160,7 +161,7 @@ def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.in
 
 
 def offsets_of(lengths: IntArray) -> IntArray:
-    """Return the start of each of several adjacent segments, and the end of the last one."""
+    """Return the starts of adjacent segments, and the end of the last one, [segments + 1]."""
     offsets = np.zeros(len(lengths) + 1, dtype=np.int64)
     np.add.accumulate(lengths, out=offsets[1:])
     return offsets

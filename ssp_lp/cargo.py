@@ -42,7 +42,7 @@ def models_of(problems: Iterable[Problem]) -> list[SSP]:
 
 
 class _Pickler(pickle.Pickler):
-    """A pickler that replaces models of the answers' problems by their places."""
+    """A pickler that replaces each model by its place in the file of models."""
 
     places: Mapping[int, int]  # id of a model -> place
 
@@ -51,7 +51,7 @@ class _Pickler(pickle.Pickler):
         return self.places.get(id(thing)) if isinstance(thing, SSP) else None
 
     def reducer_override(self, thing: Any) -> Any:
-        """Send functions and classes of a script by value, and a cost of all outcomes once."""
+        """Send functions and classes of a script by value, and an array of equal numbers as one."""
         if isinstance(thing, (FunctionType, type)):  # lambdas and locals cannot be imported either
             if thing.__module__ == "__main__" or "<l" in thing.__qualname__:
                 return loads, (dumps(thing),)
@@ -61,13 +61,13 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """An unpickler that finds models of the answers' problems by their places."""
+    """An unpickler that replaces each place in the file of models by its model."""
 
     persistent_load: Callable[[Any], SSP]
 
 
 class Cargo:
-    """Problems and answers in transit; their models are in a file and are named by their places.
+    """Problems and answers in transit; their models are stored in a file, and named by place.
 
     For each model the file holds the arrays, aligned, so that any process can map them. Then, at
     the model's place, follow its pickle without the arrays, and the offsets of the arrays.
@@ -77,14 +77,14 @@ class Cargo:
         """Begin without models.
 
         Args:
-            content: of the file, if another process wrote it.
+            content: content of the file, if another process wrote it.
         """
         self._content = memoryview(content)
         self._models: dict[int, SSP] = {}  # place -> model
         self._places: dict[int, int] = {}  # id of a model -> place
 
     def load(self, models: Iterable[SSP], file: BinaryIO) -> None:
-        """Write models to a file for other processes, after the models that they are made of.
+        """Write models to a file for other processes; a product comes after its original.
 
         Raises:
             ModelError: a model cannot be pickled.
@@ -115,7 +115,7 @@ class Cargo:
         try:
             pickler.dump(thing)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise ModelError(f"the problem cannot be sent to another process: {error}") from error
+            raise ModelError(f"the problem cannot be pickled, pass it to solve: {error}") from error
         return stream.getvalue()
 
     def unpack(self, packed: bytes, buffers: Iterable[memoryview] = ()) -> Any:
@@ -125,7 +125,7 @@ class Cargo:
         return unpickler.load()
 
     def know(self, place: int, model: SSP) -> None:
-        """Register the cargo's model at a place, unless there is one."""
+        """Register a model under its place in the file, unless the place has a model already."""
         self._places[id(self._models.setdefault(place, model))] = place
 
     def _model_at(self, place: int) -> SSP:

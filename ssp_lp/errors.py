@@ -74,8 +74,8 @@ class InfeasibleError(SSPError):
             the graph alone shows that the problem is infeasible.
         least_failure_interval: certified bounds of the least failure probability of all policies;
             the second is ``least_failure``, the first is 0 if nothing is proved.
-        least_discounted_failure: the least discounted failure, ``None`` in the exact setting. The
-            surrogate can be infeasible where the problem itself is not (paper, Theorem t2-2).
+        least_discounted_failure: the least discounted failure, ``None`` in the exact setting. It
+            can exceed the budget although the least failure does not (paper, Theorem t2-2).
         conflicting_rows: names of the fewest rows found that contradict each other: limits, and
             "failure" for the budget; empty if no such rows were sought.
     """
@@ -160,7 +160,7 @@ def wrong_argument(name: str, wanted: str, given: object, hint: str = "") -> Mod
 
 
 def attributes_of(thing: object, *names: str) -> dict[str, Any]:
-    """Return those attributes of an object, of any library, that have one of these names."""
+    """Return the values of these attributes, by name, as far as an object has them."""
     found = {name: getattr(thing, name, _ABSENT) for name in names}
     return {name: value for name, value in found.items() if value is not _ABSENT}
 
@@ -242,7 +242,7 @@ def check_call(name: str, form: Signature, given: Sequence[object], named: Colle
     """Check that the arguments of a call exist, are given once, and are complete.
 
     Args:
-        name: of the function.
+        name: name of the function.
         form: its signature.
         given: arguments by their places, ``self`` among them where the signature has it.
         named: names of the other arguments.
@@ -278,7 +278,7 @@ def check_call(name: str, form: Signature, given: Sequence[object], named: Colle
 
 
 _REST = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-"""Kinds of parameters that take the remaining arguments, and need none."""
+"""Kinds of parameters for any number of arguments, also none: ``*args`` and ``**kwargs``."""
 
 
 def in_short(value: Any) -> str:

@@ -209,7 +209,7 @@ class Formulation(Problem):
         _ = self.objective_condition
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the arguments of the formulation, and the formulation that is solved.
+        """Return the arguments, and the formulations in ``tracked`` and ``unrolled`` if built.
 
         Derived values, such as arrays over all states, are recomputed after a pickle.
         """
@@ -291,14 +291,14 @@ class Formulation(Problem):
 
     @property
     def measure(self) -> Measure | None:
-        """Measure of the law of the total cost that replaces its mean; None: the mean counts.
+        """Functional of the total cost's distribution that replaces its mean; None: the mean.
 
         Raises:
             ModelError: an arrival cost is not counted given success, or is discounted.
         """
         measure = None if self.quantity is None else arrival_measure(self.quantity)
         if measure is not None and (self.discount is not None or not self.ratio):
-            flaw = "has no discount" if self.ratio else "is counted given success: set ratio = True"
+            flaw = "supports no discount" if self.ratio else "must be given success: ratio = True"
             raise ModelError(f"{type(self).__name__}: an arrival cost {flaw}")
         return measure
 

@@ -123,7 +123,7 @@ def check_tail(tail: object) -> float:
 class DeterministicPolicies(_Option):
     """The best deterministic policy, by branch and bound.
 
-    Stationary in the model's states; in case S in (state, accumulated cost).
+    The action depends on the model's state; in case S on (state, accumulated cost).
 
     Args:
         relaxation: method that finds the best lottery, with which the search begins.
@@ -208,7 +208,8 @@ def options_of(
     """Return the solve options of a tolerance and a time limit, checked.
 
     Args:
-        method: a :class:`LinearProgramming` solves the full linear program first.
+        method: with :class:`LinearProgramming` the full linear program is solved; the options of
+            :class:`DeterministicPolicies` are those of its relaxation.
         tolerance: relative gap to reach.
         began: start of the call, on the clock of ``time.perf_counter``.
         time_limit: seconds from then.
@@ -257,8 +258,8 @@ def progress_shown(verbose: bool = True, *, lasting: bool = True) -> Iterator[No
 
     Args:
         verbose: False: show nothing.
-        lasting: False: show only one line, from the second second on, which is overwritten and
-            finally removed.
+        lasting: False: show only one line, after the first second; it is overwritten and finally
+            removed.
 
     Raises:
         ModelError: an argument is neither True nor False.

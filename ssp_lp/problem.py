@@ -61,15 +61,16 @@ Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
 EXACT = FailureSemantics()
-"""Default worth of an episode: its cost until the goal, failing free."""
+"""Default worth of an episode: its cost until the goal or failing; failing costs nothing."""
 
 
 class Problem(ReadOnlyCopies):
     """A criterion on a model with a start and a failure budget.
 
-    The class attributes are the defaults: no discount, all runs count, no limits except the failure
-    budget. If failing has a price instead of a limit, ``failure_budget`` is 1 and ``semantics`` has
-    the penalty. ``semantics.aim`` says whether the cost or only the goal counts.
+    The class attributes are the defaults: no discount, all runs count (not successes alone), no
+    limits except the failure budget. If failing has a price instead of a limit, ``failure_budget``
+    is 1 and ``semantics`` has the penalty. ``semantics.aim`` says whether the cost or only the goal
+    counts.
     """
 
     model: SSP
@@ -130,7 +131,7 @@ class Problem(ReadOnlyCopies):
         return {**own, **stated}
 
     def with_arguments(self, **changes: Any) -> Self:
-        """Return a copy with other arguments; a budget given by a share stays a share."""
+        """Return a copy with other arguments; ``reach_fraction`` is kept as it was given."""
         return cast("Self", replace(cast("Any", self), **changes, **as_stated(self)))
 
     @property
@@ -145,7 +146,7 @@ class Problem(ReadOnlyCopies):
 
     @property
     def has_rows(self) -> bool:
-        """Whether constraints or the objective need a method for rows."""
+        """Whether the problem has constraints, or a quantity instead of the cost as objective."""
         return bool(self.conditions) or self.objective_condition is not None
 
     @property
@@ -168,7 +169,7 @@ class Problem(ReadOnlyCopies):
 
     @property
     def several_rows(self) -> bool:
-        """Whether a problem needs an explicit process and a program with rows."""
+        """Whether :attr:`has_rows` holds, or the total costs are levels of a grid."""
         return self.has_rows or self.totals is TotalScale.GRID
 
     @property
@@ -269,7 +270,8 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayere
 
     Args:
         problem: the problem.
-        may_sum: allow the totals to be the sums that can occur, if this suits the problem.
+        may_sum: whether the totals may be the sums of costs that can occur (``problem.totals``);
+            False: multiples of the costs' unit.
     """
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
     by_sums = may_sum and problem.totals is TotalScale.SUMS
@@ -281,7 +283,7 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayere
 
 @dataclass(frozen=True, eq=False)
 class Restated(Problem):
-    """A problem on the same model with the same limits, but with other costs or semantics."""
+    """A problem that a method solves in place of another one, with other costs or semantics."""
 
     model: SSP
     start: Start
@@ -314,7 +316,7 @@ class FailureBudget:
         vars(problem)["_stated_budget"] = None if is_followed else as_float(value)
 
     def __get__(self, problem: Any, owner: type[object]) -> float | None:
-        """Return the budget; of the class, the default None (least failure)."""
+        """Return the budget; on the class itself None, the default (least failure)."""
         if problem is None:
             return None
         fields, key, share = vars(problem), "_stated_budget", problem.reach_fraction
@@ -378,7 +380,7 @@ def check_explorable(problem: Problem) -> None:
             raise ModelError(f"start: {state!r} is not a state in which {whole!r} may begin")
     name, more = type(problem).__name__, ": build the whole model, SSP.from_successors(...)"
     if problem.ratio or problem.semantics.counts_law:
-        raise ModelError(f"an implicit model has no total cost of a run for {name}{more}")
+        raise ModelError(f"{name} needs the total cost of a run, which implicit models lack{more}")
     if problem.horizon is not None:
         hint = ", or count the steps in its states"
         raise ModelError(Argument("horizon"), f" does not support an implicit model{more}{hint}")
@@ -424,7 +426,7 @@ def has_boxes(verb: str) -> ModelError:
     """Return the error of a function that needs fixed probabilities, for a problem over boxes."""
     return ModelError(
         f"{verb} needs one choice of probabilities, and the problem has boxes: pass box= to "
-        "evaluate, or solve it and take solution.problem, which has the worst of them"
+        "evaluate, or solve it and take solution.problem, which has the worst probabilities"
     )
 
 
@@ -433,19 +435,19 @@ def check_measures(problem: Problem) -> None:
     name = type(problem).__name__
     if problem.ratio or problem.semantics.counts_law:
         raise ModelError(
-            f"{name} counts a cost given success or its law, which has no worst case over boxes "
-            "(cost over goal probability would overstate without limit): use MCMP, MaxProb, "
-            "MinCost or FinitePenalty"
+            f"{name} counts a cost given success, whose worst case over boxes is not computed "
+            "(the worst cost divided by the least goal probability may be far above it): use MCMP, "
+            "MaxProb, MinCost or FinitePenalty"
         )
     for word, given in (("a horizon", problem.horizon is not None),
                         ("a discount", problem.discount is not None),
                         ("constraints", problem.has_rows)):  # fmt: skip
         if given:
-            raise ModelError(f"boxes do not support {word}: state the problem without")
+            raise ModelError(f"boxes do not support {word}: leave it out of the problem")
 
 
 def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
-    """Return a problem's limits and its objective; entries that are not limits are left out."""
+    """Return a problem's constraints by name, and its quantity, if any, as "objective"."""
     limits = problem.all_constraints.items()
     asked = [(str(name), limit) for name, limit in limits if isinstance(limit, Constraint)]
     if isinstance(problem.quantity, Quantity):
@@ -499,7 +501,7 @@ def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
 
 
 def as_float(value: Any) -> Any:
-    """Return a problem's argument as a float if it is a fraction or numpy's, else unchanged."""
+    """Return fractions and numbers of numpy as floats, and other arguments unchanged."""
     return value if type(value) in (bool, int, float) or not is_number(value) else float(value)
 
 
@@ -522,12 +524,12 @@ class _InProduct(Policy):
 
     @property
     def goes_on(self) -> bool:  # type: ignore[override]
-        """Whether the inner policy goes on after failing, if the product has no failure label."""
+        """Whether the inner policy goes on after failing, and the product lacks a failure label."""
         return self.inner.goes_on and self.model.failure_label is None
 
     @property
     def declares_failing(self) -> bool:
-        """Whether the policy restated on a problem's product declares failing."""
+        """Whether the inner policy declares failing and then goes on."""
         return self.inner.goes_on
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
@@ -561,11 +563,11 @@ class _UntilFailing(Policy):
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """Model of a problem's policy that ends with failing."""
+        """Model that the policy acts on."""
         return self.carrier.model
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decisions of a problem's policy that ends with failing."""
+        """Return the policy's decisions, with giving up in place of going on after failing."""
         branches = self.carrier.branches(states, memory)
         pair = np.where(branches.gives_up(memory), GIVE_UP_CODE, branches.pair)
         return Branches(branches.situation, pair, branches.probability)

@@ -99,7 +99,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @cached_property
     def evaluation(self) -> Evaluation:
-        """Evaluation of the solution's policy on the model, within the call's time or a second.
+        """Evaluation of the policy on the model, within the time limit of ``solve`` or a second.
 
         Raises:
             OutOfTimeError: it takes longer; ``evaluate(policy, problem)`` has no time limit.
@@ -246,7 +246,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def gap(self) -> float:
-        """Relative gap between objective and bound, or of the least failure if it is wider."""
+        """Relative gap of objective and bound; with least failure at least ``failure_gap``."""
         if self.upper_bound is not None:
             gap = relative_gap(self.upper_bound, self.objective)
         else:
@@ -255,7 +255,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def failure_gap(self) -> float:
-        """Relative gap of the goal probability to the greatest, with least failure; else 0.
+        """Relative gap of goal probability and its upper bound, if failure must be least; else 0.
 
         The bound of the objective holds for policies of least failure. If this gap is not 0,
         another policy may fail less.
@@ -274,12 +274,12 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def secondary_costs(self) -> Mapping[str, float]:
-        """The solution's constrained quantities by name, discounted if the problem is."""
+        """Values of the limited quantities by name, discounted if the problem is."""
         return self.evaluation.secondary_costs
 
     @property
     def discounted_failure(self) -> float | None:
-        """The solution's surrogate of failure, section 2.5 of the paper; None if exact."""
+        """The paper's discounted failure (section 2.5); None if the problem has no discount."""
         return self.evaluation.discounted_failure
 
     @property
@@ -294,11 +294,11 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def budget_slope(self) -> float | None:
-        """The solution's -d c* / d budget: the price in case M, price / (1 - budget) in case S.
+        """Decrease of the optimum c* per unit of the failure budget: -d c* / d budget.
 
-        If a probability is maximised: its gain by the budget.
-
-        Only the price beyond the penalty counts. None where there is no price or it is infinite.
+        This is the price in case M, and price / (1 - budget) in case S, without the penalty of
+        failing. If a probability is maximised, it is the increase. None without a price, or if the
+        penalty is infinite.
         """
         price, budget = self._multiplier, self.problem.failure_budget
         if price is None or budget is None or not self.problem.ratio:
@@ -516,7 +516,7 @@ def assembled(
 
 
 def as_solved(solution: Solution, verb: str) -> Solution:
-    """Return a solution on the model as it was solved, with a horizon (state, steps taken).
+    """Return a solution with its policy and problem on the model that was solved (unrolled).
 
     Raises:
         ModelError: the argument is not a Solution; ``verb`` names the function that was called.
@@ -528,11 +528,11 @@ def as_solved(solution: Solution, verb: str) -> Solution:
 
 
 def gap_of_least_failure(failure: float, bound: float | None) -> float:
-    """Return the relative gap of a goal probability with least failure; 0 up to rounding is 0.
+    """Return the relative gap of a goal probability and its upper bound; rounding counts as 0.
 
     Args:
-        failure: of the policy.
-        bound: of every policy's failure; None: the problem does not ask for least failure.
+        failure: failure probability of the policy.
+        bound: bound of every policy's failure; None: the problem does not ask for least failure.
     """
     proved = failure if bound is None else bound
     return relative_gap(1.0 - proved, 1.0 - failure) if failure - proved > ROUNDED else 0.0

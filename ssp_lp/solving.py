@@ -171,7 +171,7 @@ def _error_without_answer(
     progress = stop.told if isinstance(stop, Stop) else ""
     if deadline.is_interrupted:
         return interrupted(progress)
-    progress, model = progress or "only the model was known by then", problem.model
+    progress, model = progress or "no policy was evaluated", problem.model
     size = f"the model has {model.n_states:,} states and {model.n_outcomes:,} outcomes"
     return OutOfTimeError(
         f"the time limit of {max(deadline.at - deadline.began, 0.0):.3g} s ended before a policy "

@@ -4,8 +4,8 @@ Each plan of the lottery counts with its own worst cost and its own worst failur
 the lottery satisfies the budget whatever the probabilities are. The bound is the optimum of the
 problem at one choice of probabilities, the worst one for the best plan at some price of failure
 (Lagrange). The worst case of every lottery is at least this optimum. A gap between value and bound
-may remain, because the true worst case of a lottery has one choice of probabilities, not one for
-each plan and each measure.
+may remain, because the true worst case of a lottery has one choice of probabilities for all plans,
+not another one for each plan's cost and each plan's failure.
 """
 
 from __future__ import annotations
@@ -89,12 +89,12 @@ def tighten(
     Column generation. At a price of failure, the plan with the best worst case is computed, then
     the optimal lottery at these worst probabilities. Both give plans, and the lottery gives a
     bound. The next price is the price of this lottery, or of the best lottery over the plans found
-    so far. At the end the plans of the lottery are changed, in all states and one by one, while
-    this improves it.
+    so far. At the end the plans of the lottery are changed, in all states or in one, while this
+    improves it.
 
     Args:
         problem: ``MCMP`` with a failure budget.
-        box: of the problem's model.
+        box: box of the problem's model.
         tolerance: relative gap at which to stop, and distance below which two prices count as
             equal.
         time_limit: seconds after which the best lottery so far is returned.
@@ -194,10 +194,10 @@ class _Pool:
                     self.add(decision)
 
     def _beside(self, plan: Policy, price: float) -> Iterator[IntArray]:
-        """Yield plans that differ from one: in all states in which this seems better, or in one.
+        """Yield a plan with all actions that seem better than a plan's own, then plans with one.
 
-        An action is compared at the worst cost and the worst failure of the plan after it, each at
-        its own nature and the latter at the price of failure; the best changes come first.
+        An action is worth its worst cost plus the price times its worst failure, if the given plan
+        follows it; both worst cases have their own probabilities. The best actions come first.
         """
         box, model, start = self.box, self.box.support, self.problem.start_mass
         reached = np.zeros(model.n_states, dtype=np.bool_)
@@ -255,7 +255,7 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
         every = "policy of finite worst cost" if rank.any() else "policy"
         raise InfeasibleError(
             f"every {every} fails with probability {least:.6g} at some probabilities in the boxes, "
-            f"and the budget is {budget:.6g}: allow more, or collect more counts",
+            f"above the budget {budget:.6g}: raise it, or collect more counts",
             failure_budget=budget,
             least_failure=least,
         )

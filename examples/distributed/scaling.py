@@ -2,8 +2,8 @@
 
     python examples/distributed/scaling.py --ranks 1 2 4 --robots 40x24 80x36 --turns 3
 
-starts mpiexec itself. Every number of ranks, and the local method on --threads threads, runs in
-separate processes; they alternate in turns, and ratios are medians of the ratios within a turn.
+starts mpiexec itself. A turn runs the problem with each number of ranks, and by the local method on
+--threads threads, each in separate processes. Ratios are medians over the turns.
 Seconds are those of the slowest rank, after a small problem has loaded the compiled loops; memory
 is the greatest resident memory of a rank, with Python and all libraries, and the resident memory
 before the model was built.
@@ -110,10 +110,10 @@ def most_resident() -> float:
 
 
 def measured(world: str, discount: float | None, budget: float, ranks: int) -> Any:
-    """Return the measurements of one problem by a process or its ranks; None except on rank 0.
+    """Solve a problem, on ranks or locally; return seconds, memory and results (rank 0 only).
 
     world: such as "40x24", a robot, or "corridor 200", a corridor of 200 lanes.
-    ranks: 0 for the local method.
+    ranks: 0: solve in one process, without ranks.
     """
     asked: dict[str, Any] = {"discount": discount}
 
@@ -209,7 +209,7 @@ def ratio(results: Results, name: str, base: str, key: str) -> float:
 
 
 def lines(results: Results) -> Iterator[str]:
-    """Yield the table of kinds of processes, with shares of one rank's figures if it has run."""
+    """Yield a line for each kind of process; shares are relative to one rank, if it has run."""
     answered = {name: turns for name, turns in results.items() if "refused" not in turns[0]}
     base = next((name for name in answered if "rank" in name), next(iter(answered), ""))
     share = f"of {base.split(',')[0]}"

@@ -151,7 +151,7 @@ class _Rules:
         return cell[1] in self.safe_rows
 
     def _sure(self, name: str, cell: Cell) -> bool:
-        """Return whether a sure move of a name is offered."""
+        """Return whether the straight move of a name is offered as a sure one in a cell."""
         column, row = cell
         if self.as_published and name == "down":
             return row in self.safe_columns

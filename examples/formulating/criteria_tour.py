@@ -43,7 +43,7 @@ def tour() -> Iterator[tuple[str, Domain]]:
 
 
 def compared(domain: Domain) -> CriteriaComparison:
-    """Compare all criteria; the cost bound is the mean cost of a run at least failure."""
+    """Compare all criteria; the cost bound is the optimum of S3P with least failure."""
     model, start = domain
     typical = solve(S3P(model, start)).objective
     return compare_criteria(

@@ -51,7 +51,7 @@ def mark_at(column: int, row: int) -> str:
 
 
 def flown(flight: Flight, path: Sequence[tuple[int, int]], used: int) -> str | Flight:
-    """Return the end of a path of single cells: a flight, or the end that it meets."""
+    """Return the state after a path of single cells, or the end that the drone meets on it."""
     column, row, left = flight
     for east, north in path:
         column = min(max(column + east, 0), len(PLAN[0]) - 1)

@@ -96,7 +96,7 @@ def over_town(state: Any) -> tuple[int, int] | None:
 
 
 def ground(plan: Sequence[str], words: dict[str, str]) -> Axes:
-    """The squares of a plan, column x and row -y, and a word on the marks that have one."""
+    """Axes with the squares of a plan (column x, row -y) and the words given for its marks."""
     width, height = max(map(len, plan)), len(plan)
     figure = Figure(figsize=(6.0, 6.0 * height / width + 0.5), layout="constrained")
     axes = figure.subplots()

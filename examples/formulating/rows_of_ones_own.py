@@ -1,7 +1,7 @@
 """Rows of your own: additional constraints on how a river is crossed.
 
 A river is crossed to the far foot of a waterfall, by the bridge or by swimming, which fails if the
-current carries the swimmer over the edge. At least cost within a failure budget, failing happens
+current carries the swimmer over the edge. With the least cost in a failure budget, failing happens
 where it is cheapest: from the bank, on purpose. Rows that no criterion has are added one after
 another: no jumps, a limit on failure per stroke, few strokes, few visits of one cell, and a convex
 row that spreads the strokes over the water.

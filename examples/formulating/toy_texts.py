@@ -35,7 +35,7 @@ def cliff_walking(episodes: int = EPISODES) -> tuple[Solution, RolloutReport]:
 
 
 def taxi(episodes: int = EPISODES) -> tuple[Solution, RolloutReport]:
-    """Drive passengers within 200 steps, at least cost if one in twenty may fail."""
+    """Drive passengers within 200 steps at the least cost; one run in twenty may fail."""
     env = gym.make("Taxi-v4")
     world = from_gymnasium(env)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.05))

@@ -54,7 +54,7 @@ class RobotGrid:
 
         A heading exactly between two cells counts half in each. Such headings are common (a
         quarter of all that are tried at the default), and giving them to one side would make the
-        robot drift; the rule moves the cost at least failure, 25.3 steps, by up to 0.2.
+        robot drift. The rule moves the safest policy's cost, 25.3 steps, by up to 0.2.
         """
         side, half = Axis(0.0, self.arena.side, self.segments), np.pi / self.headings
         low, high = -half, 2 * np.pi - half

@@ -67,7 +67,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 class _Plain(argparse.ArgumentDefaultsHelpFormatter, argparse.RawDescriptionHelpFormatter):
-    """The docstring as it is, with the defaults of options."""
+    """Formatter of the help: line breaks as in the docstring, and the defaults of options."""
 
 
 if __name__ == "__main__":

@@ -169,8 +169,8 @@ def section_3_4() -> list[Row]:
     """Check the mixture of the best responses to alpha* - delta and alpha* + delta (t3-4).
 
     Minus is best at alpha* - delta, so at alpha* its payoff exceeds J*(alpha*) by at most delta
-    times its slope; likewise plus. So does the mixture's, which is the payoff of both at their
-    crossing.
+    times its slope; likewise plus, best at alpha* + delta. The mixture has the payoff of both where
+    their lines cross, which exceeds J*(alpha*) no more than theirs.
     """
     found, best = solved_m(), optimum_m(ONE, GAMMA, BUDGET)
     c = best.objective

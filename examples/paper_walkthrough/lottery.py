@@ -52,11 +52,10 @@ def numerator_s(discount: Fraction, gamma: Fraction, budget: Fraction) -> Lotter
 
 
 def adversary(objective: Fraction, price: Fraction, budget: Fraction) -> Fraction:
-    """Return alpha* = J_obj / (J_obj + price * epsilon), at which the price is that of the game.
+    """Return alpha* = J_obj / (J_obj + price * epsilon), the adversary's optimal weight.
 
-    There eta / epsilon (1 - alpha) / alpha = price.
-    In case M J_obj = c* and the price is lambda; in case S J_obj = c* (1 - epsilon), the price
-    kappa.
+    At alpha* the game charges failure its price: eta / epsilon (1 - alpha) / alpha = price. In case
+    M J_obj = c* and the price is lambda; in case S J_obj = c* (1 - epsilon), the price kappa.
     """
     return objective / (objective + price * budget)
 

@@ -94,7 +94,7 @@ def section_2_3() -> list[Row]:
 
 
 def section_2_4() -> list[Row]:
-    """Check objectives at least failure (MCMP and S3P themselves) and for one policy.
+    """Check objectives with least failure (MCMP and S3P themselves) and for one policy.
 
     The sum over t in the definition of J_MCMP is a slip: J_MCMP = E[r_tau]. By that definition the
     step that fails is not paid; by the construction of section 3.1.2 it is paid once.

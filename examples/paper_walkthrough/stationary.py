@@ -33,7 +33,7 @@ ACCURATE = 1e-10
 def section_3_5_m() -> list[Row]:
     """Check c-hat <= c* <= true cost of the stationary policy in case M, all equal as gamma -> 1.
 
-    "P^(M) in P^(S)" in t3-11 means P^(M). The first and the last differ by E[sum (1 - gamma^t) g]
+    "P^(M) in P^(S)" in t3-11 means P^(M). c-hat and the true cost differ by E[sum (1 - gamma^t) g]
     <= (1 - gamma) E[sum t g], which is 43/5 (1 - gamma) for the plan (ford, for ever) and less with
     fewer tries.
     """
@@ -55,10 +55,10 @@ def section_3_5_m() -> list[Row]:
 
 
 def section_3_5_s() -> list[Row]:
-    """Check these inequalities in case S, with J^gamma_S3P; plans depend on accumulated cost.
+    """Check c-hat <= c* <= true J^gamma_S3P in case S, where plans depend on accumulated cost.
 
     M_{o,gamma}^(S) as printed gives gamma^T, Phi a single gamma; T_alpha charges gamma^(T-1). So
-    the first and the last differ by at most (1 - gamma) E[(T - 1) r_T; home] / (1 - epsilon), which
+    c-hat and the true one differ by at most (1 - gamma) E[(T - 1) r_T; home] / (1 - epsilon), which
     is 139/9 (1 - gamma) for the plan (ford, for ever) and less with fewer tries.
     """
     model, rows = journey(), []

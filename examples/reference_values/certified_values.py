@@ -110,7 +110,7 @@ def _proved(row: Row, solution: Solution, folder: Path) -> Row:
 
 
 def _rounded(bound: Fraction, outwards: float) -> str:
-    """Return the nearest decimal of a float that does not shorten a proved interval."""
+    """Return an end of a proved interval as a float's decimal, rounded outwards."""
     near = float(bound)
     is_inside = near > bound if outwards < 0.0 else near < bound
     return repr(math.nextafter(near, outwards) if is_inside else near)

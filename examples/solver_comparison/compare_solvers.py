@@ -130,7 +130,7 @@ def _skipped(order: Order, note: str) -> SolverRun:
 
 
 def run_solver(order: Order, limits: Limits, command: Sequence[str] | None = None) -> SolverRun:
-    """Run a solver in a process of its own; `command` stands in for the usual one."""
+    """Run a solver in a separate process; `command` replaces the command that starts it."""
     if command is None:
         command = python_command("worker", json.dumps(asdict(order)))
     ending = watch(command, limits, solver_named(order.solver).environment)

@@ -19,7 +19,7 @@ from typing import Any
 from .arguments import argument_parser
 
 FAILED, WRONG_INPUT, INFEASIBLE, INTERRUPTED, UNREAD = 1, 2, 3, 130, 141
-"""Exit codes for failures; the last two are a shell's for SIGINT and SIGPIPE."""
+"""Exit codes of failures; the last two are those of shells after SIGINT and SIGPIPE."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -23,7 +23,7 @@ CRITERIA = {
     for name, page in PAGES.items()
     if name not in {"ConstrainedCost", "GUBS"}  # MCMP with --limit, and a function of the cost
 }
-"""Names of criteria in a shell, which are those of their modules, and their classes."""
+"""Name of a criterion's module, with hyphens -> name of its class."""
 
 _FILES = {"bash": "_shtab_compgen_files", "zsh": "_files", "tcsh": "f"}
 """Completion functions of shells for a file's name, as in shtab's ``FILE``."""
@@ -68,13 +68,13 @@ def _number_or_none(text: str) -> float | None:
 
 
 def _budgets_argument(text: str) -> float | list[float | None] | None:
-    """Return a number, None for "none", or a list of these for several between commas."""
+    """Return a number, None for "none", or the list of these for a text with commas."""
     several = [_number_or_none(one) for one in text.split(",")]
     return several if len(several) > 1 else several[0]
 
 
 def _criterion_argument(text: str) -> str:
-    """Return the key in ``CRITERIA`` of a name such as ``min-cost``, ``MinCost``, ``min_cost``."""
+    """Return the key in ``CRITERIA`` of a name in any spelling: ``min-cost``, ``MinCost``."""
     letters = re.sub("[-_]", "", text).lower()
     return next((name for name in CRITERIA if name.replace("-", "") == letters), text)
 
@@ -98,26 +98,26 @@ def option(name: str, value: object = ...) -> str:
 
 PARAMETERS = {
     "failure_budget": _Option(
-        "largest failure probability; none, the default of most criteria: the least one; several, "
-        "0.01,0.05, make a table of solve",
+        "greatest failure probability; none (default of most criteria): as low as possible; with "
+        "several, 0.01,0.05, solve prints a table",
         _budgets_argument,
         "P[,P]",
     ),
     "reach_fraction": _Option(
-        "share of the greatest goal probability to attain at least", _float_argument, "SHARE"
+        "least share of the greatest goal probability", _float_argument, "SHARE"
     ),
     "penalty": _Option("cost of failing", _float_argument, "COST"),
     "level": _Option("level of the quantile or the tail, such as 0.95", _float_argument, "P"),
     "cost_bound": _Option("greatest total cost", number_argument, "COST"),
     "cost_budget": _Option("greatest expected cost", _float_argument, "COST"),
-    "risk_factor": _Option("exponential utility, < 0: averse to risk", _float_argument, "X"),
+    "risk_factor": _Option("factor of the cost in the utility, < 0", _float_argument, "X"),
     "goal_bonus": _Option("utility of the goal itself", _float_argument, "X"),
     "quantity": _Option("quantity to minimise, as in --limit", str, "QUANTITY"),
-    "discount": _Option("of the paper's surrogate, in (0, 1), or none", _number_or_none, "GAMMA"),
-    "give_up": _Option("giving up: anywhere, attention (states), dead_ends", str, "WHERE"),
-    "charge_failing_step": _Option("pay for the failing step"),
-    "cost_cap": _Option("distinguish total costs up to this one", _float_argument, "COST"),
-    "cost_levels": _Option("number of total costs to distinguish", int, "N"),
+    "discount": _Option("discount factor in (0, 1), or none", _number_or_none, "GAMMA"),
+    "give_up": _Option("where to give up: anywhere, attention, dead_ends", str, "WHERE"),
+    "charge_failing_step": _Option("pay for the step at which failure is declared"),
+    "cost_cap": _Option("greatest total cost that is counted exactly", _float_argument, "COST"),
+    "cost_levels": _Option("greatest number of total costs to count", int, "N"),
 }
 """Arguments of criteria, by name; each class says which of them it takes and needs."""
 
@@ -156,7 +156,7 @@ class _OneLineParser(ArgumentParser):
     """A parser whose errors are one line: ``--help`` shows the usage, errors do not."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """Parse arguments; the error for an unknown one names the likely one."""
+        """Parse arguments; the error for an unknown one suggests a similar one."""
         asked, unknown = super().parse_known_args(args, namespace)
         if unknown:
             if unknown[0][:1] != "-":
@@ -229,7 +229,7 @@ Options = dict[str, dict[str, Any]]
 
 
 def _add_all(place: Any, options: Options) -> None:
-    """Add options to a parser or a group, and tell the shells' completion which are files."""
+    """Add options to a parser or a group; shells complete the names of files and models."""
     for name, settings in options.items():
         added = place.add_argument(name, **settings)
         if settings.get("metavar") in ("MODEL", "FILE"):
@@ -252,7 +252,7 @@ _QUESTION: Options = {
         _criterion_argument, choices=tuple(CRITERIA), default="mcmp",
     ),
     "--property": _taken(
-        'the same in PRISM\'s words: multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])', "WORDS"
+        'problem in PRISM\'s words: multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"])', "WORDS"
     ),
     **{
         option(name): _switch(each.help, action=BooleanOptionalAction, default=SUPPRESS)
@@ -295,7 +295,7 @@ _MODEL: Options = {
         nargs="+",
     ),
     "--start": _taken("state in which an episode begins", "STATE"),
-    "--cost": _taken("name of the cost that counts", "NAME"),
+    "--cost": _taken("name of the cost to minimise", "NAME"),
     "--constants": _taken("constants that a program leaves open", "N=5,..."),
     "--horizon": _taken(
         "reach the goal within N steps; default: an environment's own limit, or none", "N",
@@ -309,7 +309,7 @@ _SOLVE: dict[str, Options] = {
     "the search": {
         "--method": _taken(", ".join(_METHODS), "NAME", choices=_METHODS),
         "--tolerance": _taken("relative gap to reach; 1e-9", "GAP", float, default=1e-9),
-        "--time-limit": _taken("time limit; then the best policy so far", "SECONDS", float),
+        "--time-limit": _taken("stop then, with the best policy so far", "SECONDS", float),
     },
     "the answer": {
         "--policy-out": _taken(
@@ -332,7 +332,7 @@ _TRACE: Options = {
     ),
     "--gap": _taken("relative gap to reach; 1e-9", "GAP", float, default=1e-9),
     "--point-limit": _taken("greatest number of turning points", "N", int),
-    "--time-limit": _taken("time limit; then the frontier so far", "SECONDS", float),
+    "--time-limit": _taken("stop then, with the frontier so far", "SECONDS", float),
 }  # fmt: skip
 
 _EXPLORE: Options = {
@@ -412,7 +412,7 @@ VERBS = {
             "the question": _QUESTION,
             "": {
                 "--plot": _taken("draw a tornado of the numbers that matter most", "FILE"),
-                "--time-limit": _taken("limit; then the derivatives so far", "SECONDS", float),
+                "--time-limit": _taken("stop then, with the derivatives so far", "SECONDS", float),
             },
         },
         """\

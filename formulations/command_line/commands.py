@@ -66,7 +66,7 @@ class _CommandModel:
 
     @property
     def written_out(self) -> tuple[SSP, Start | None]:
-        """The model and its start; with a horizon, its states count the steps.
+        """The model and its start; with a horizon, the model whose states count steps.
 
         Raises:
             ModelError: a horizon without a start.
@@ -151,7 +151,7 @@ _SIGNS: dict[str, Callable[..., ssp_lp.Constraint]] = {"<=": le, ">=": ge, "==":
 
 
 def problem_of(of: _CommandModel, **others: Any) -> Problem:
-    """Return the problem that a command states about its model.
+    """Return the problem that the arguments of a command state.
 
     Args:
         of: the model, with the arguments of the command.
@@ -214,7 +214,7 @@ def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
 
 
 def _problem_number(word: str, whole: str) -> float:
-    """Return the number that a word stands for; an error shows the words around it."""
+    """Return the number that a word stands for; ``whole`` is the text around it, for the error."""
     try:
         return float(number_argument(word))
     except ArgumentTypeError as error:
@@ -226,7 +226,7 @@ _OPERATOR = re.compile(
     r"(?P<relation>max\s*=\s*\?|min\s*=\s*\?|>=|<=)\s*(?P<bound>[^\s\[]*)\s*\[\s*(?:C|F\s*"
     r'(?:<=\s*(?P<steps>\d+)\s*)?\(?(?P<target>"[^"]+"|[^\]]+?)\)?)\s*\]\s*'
 )
-_TAKEN = 'such as multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"], P<=0.01 [F "crash"])'
+_TAKEN = 'multi(R{"time"}min=? [F "ok"], P>=0.95 [F "ok"], P<=0.01 [F "crash"])'
 
 
 class _Operator(NamedTuple):
@@ -242,14 +242,14 @@ class _Operator(NamedTuple):
 
 
 def with_property(asked: Asked) -> Asked:
-    """Return the arguments of a command, with those that ``--property`` states in PRISM's words.
+    """Return the arguments of a command, including those that a PRISM property states.
 
-    The objective gives the criterion, P>= the least probability of the goal; other operators are
-    limits: P<= on the probability of an end, R<= on another cost. Costs count until the goal is
-    reached or lost, as everywhere in this library, also with [C].
+    The operator with =? gives the criterion, and P>= gives the least goal probability. The other
+    operators become limits: P<= on the probability of an end, R<= on a cost. As everywhere in this
+    library, costs count until the goal is reached or lost, also with [C].
 
     Raises:
-        ModelError: another property, or one that contradicts the other arguments.
+        ModelError: the property is not supported, or contradicts the other arguments.
     """
     words = asked.get("property")
     if words is None:
@@ -262,7 +262,7 @@ def with_property(asked: Asked) -> Asked:
     reaching = [one for one in operators if (one.measure, one.relation) == ("P", ">=")]
     goals = {one.target for one in (objective, *reaching) if one.target is not None}
     if len(goals) != 1:
-        raise ModelError(f"{words}: one goal must be reached, not {sorted(goals)}")
+        raise ModelError(f"{words}: =? and P>= must name one goal, [F ...], not {sorted(goals)}")
     if (objective.measure, objective.relation) not in {("P", "max=?"), ("R", "min=?")}:
         raise ModelError(f"{objective.words}: the objective must be Pmax=? or Rmin=?")
     (goal,) = goals
@@ -302,7 +302,7 @@ def _operators_in(words: str) -> list[_Operator]:
     for one in re.split(r"(?<=\])\s*,", several[1]) if several else [words]:
         found = _OPERATOR.fullmatch(one)
         if found is None:
-            raise ModelError(f"{one.strip()!r} is not a supported property, {_TAKEN}")
+            raise ModelError(f"{one.strip()!r} is not a supported property; one is {_TAKEN}")
         named = _Operator(one.strip(), *found.groups())
         relation, target = re.sub(r"\s", "", named.relation), named.target
         try:
@@ -402,7 +402,7 @@ def _several_answers(
     """Run the command ``solve`` for several failure budgets and return its lines.
 
     Raises:
-        ModelError: an output that belongs to a single answer.
+        ModelError: an option whose output needs a single answer.
     """
     for name in ("policy_out", "certificate_out", "plot", "show_policy"):
         if of.asked[name]:
@@ -427,14 +427,14 @@ def _check_command(asked: Asked) -> Iterable[str]:
     """Run the command ``check`` and return its lines.
 
     Raises:
-        ModelError: a question without a model.
+        ModelError: the arguments state a problem without a model.
         SolverError: the certificate is refused.
     """
     problem, file = None, asked["certificate"]
     if asked["model"] is not None:
         problem = problem_of(command_model(asked))
     elif any(asked[name] for name in ("goal", "start", "limit")) or asked.keys() & PARAMETERS:
-        raise ModelError("a question needs a model: give --model, or the file alone")
+        raise ModelError("these options need a model: add --model, or pass the certificate alone")
     checked = ssp_lp.check_certificate(file, problem=problem)
     if not checked.accepted:
         raise SolverError(f"{file} is refused: {checked.reason}")

@@ -1,15 +1,16 @@
-"""Arrivals: the mass of policies' chains that reaches the goal at each total cost.
+"""Arrivals: the probability mass of a policy that reaches the goal at each total cost.
 
-The part of the chains that can still reach the goal is followed through the layers of the costs'
-common unit. If that unit gives too many layers, the sums that occur are followed one by one, in
-increasing order. Sums are exact multiples of a unit, however small, because a float stands for its
-shortest decimal: equal sums are found by equal integers.
+A layer is a multiple of the costs' common unit. The mass that can still reach the goal is followed
+from layer to layer. If the unit is so small that there are too many layers, only the sums of costs
+that occur are followed, in increasing order. A float cost stands for its shortest decimal, so that
+every sum is an integer number of units and equal sums are found exactly.
 
-A chain of few nodes that is rarely left may need millions of layers. The transition of one layer is
-a matrix on the places where mass can wait. Its powers of two lead to any layer, in as many products
-as the number of the layer has binary digits. Exit probabilities are carried as data and summed
-without subtraction. The rows of a power are scaled to 1 minus their exits, so that the rounding
-error of a probability near 1 does not grow with the power.
+A chain of few nodes that is rarely left may need millions of layers. A matrix then describes how
+waiting mass passes one layer, and its powers describe how it passes 2, 4, 8, ... layers. Any number
+of layers is passed in as many products as the number has binary digits. The probabilities of
+leaving (the goal is reached or lost) are stored beside each matrix and summed without subtraction.
+Each row is rescaled so that its sum and its probability of leaving add up to 1. Otherwise the
+rounding error of a row sum near 1 would grow with the power.
 """
 
 from __future__ import annotations
@@ -56,7 +57,12 @@ class LiveChain:
 
     @classmethod
     def of(cls, chains: Sequence[Chain], weights: FloatArray) -> LiveChain:
-        """Return the live chain of the members of a lottery, side by side."""
+        """Return one live chain that has the chains of a lottery's members side by side.
+
+        Args:
+            chains: chains of the members.
+            weights: weights of the members, [members].
+        """
         size = sum(int(chain.alive.sum()) for chain in chains)
         first, start, ahead, moves = 0, np.zeros(size + 1), np.zeros((3, size + 1)), []
         for chain, weight in zip(chains, weights, strict=True):
@@ -117,7 +123,7 @@ class _FreeMoves:
         return self.gathered(np.eye(len(self._leaving)))
 
     def gathered(self, rewards: FloatArray) -> FloatArray:
-        """Return the expected rewards of the visits within one layer, from each node entered.
+        """Return the expected rewards within one layer from each node, [nodes, rewards].
 
         Args:
             rewards: rewards of a visit, [nodes, rewards].
@@ -129,40 +135,41 @@ MOST_LEVELS = 62
 """Most layers are 2^62, for 64-bit integers."""
 
 _MOSTLY_STAYS = 0.5
-"""Exit probability up to which rows are scaled; above, 1 - exits would lose digits."""
+"""Probability of leaving up to which rows are rescaled: 1 minus a greater one loses digits."""
 
 
 class _LayerPower(NamedTuple):
-    """The transition of 2^k layers as one step."""
+    """The effect of passing 2^k layers on mass that waits at each place."""
 
     onward: FloatArray  # [places, places]
     lands: FloatArray  # [places] probability of having reached the goal
     leaves: FloatArray  # [places] probability of having lost the goal
 
     def scaled(self) -> _LayerPower:
-        """Return the power with rows scaled to 1 minus the exits."""
+        """Return the power with each row rescaled to 1 minus its probability of leaving."""
         exits, total = self.lands + self.leaves, self.onward.sum(axis=1)
         stays = exits <= _MOSTLY_STAYS
         factor = np.divide(1.0 - exits, total, out=np.ones_like(exits), where=stays)
         return self._replace(onward=self.onward * factor[:, None])
 
     def doubled(self) -> _LayerPower:
-        """Return the square: the step of twice as many layers."""
+        """Return the effect of passing twice as many layers."""
         lands = self.lands + self.onward @ self.lands
         leaves = self.leaves + self.onward @ self.leaves
         return _LayerPower(self.onward @ self.onward, lands, leaves).scaled()
 
 
 class _LayerPowers:
-    """Powers of two of the transition of one layer, computed when needed. Mutable.
+    """Effects of passing 1, 2, 4, ... layers, computed when needed. Mutable.
 
-    Mass waits at places. A place is a node and a number of layers ahead; places are sorted by node.
+    Mass waits at places. A place is a node and a delay: the number of layers to pass before the
+    mass moves on from the node. Places are sorted by node, then by delay.
     """
 
     def __init__(
         self, onward: sp.csr_array, lost: FloatArray, free: _FreeMoves | None = None
     ) -> None:
-        """Find the places to which moves lead; each node has a place without delay.
+        """List the places: each node with delay 0 and the delays with which moves reach it.
 
         Args:
             onward: moves to (layers passed, node), the goal last, [nodes before the goal, columns].
@@ -183,7 +190,7 @@ class _LayerPowers:
         return len(self.node)
 
     def _one_layer(self) -> _LayerPower:
-        """Return one layer's step: mass of delay 0 moves on, other delays fall by one."""
+        """Return the effect of one layer: mass of delay 0 moves on, other delays fall by 1."""
         n_nodes = len(self._lost) + 1
         columns = np.append((self.delay + 1) * n_nodes + self.node, n_nodes - 1)
         leaving = np.hstack([self._onward[:, columns].toarray(), self._lost[:, None]])
@@ -235,7 +242,7 @@ class _LayerPowers:
         return layers
 
     def _level(self, k: int) -> _LayerPower:
-        """Return the transition of ``2^k`` layers."""
+        """Return the effect of passing ``2^k`` layers."""
         while len(self._levels) <= k:
             self._levels.append(self._levels[-1].doubled() if self._levels else self._one_layer())
         return self._levels[k]
@@ -256,17 +263,18 @@ _WORK_OF_POWERS = 0.125  # work of the powers, in moves per places cubed
 class Arrivals:
     """A forward sweep over the total cost of a chain, in layers of a unit. Mutable.
 
-    Mass waits in the layer of its total. A layer is settled by spreading its mass over the moves of
-    cost 0 and sending it on along the others; the mass then at the goal is the atom of the layer.
-    The totals of unsettled mass are known exactly from linear solves for each node, so that the
-    tail is never a difference of large numbers.
+    Mass waits at (layer of its total, node). The layers are settled in increasing order: the mass
+    of a layer is spread over the moves of cost 0, and then sent along the other moves to later
+    layers. The mass at the goal is the layer's atom of the law. Waiting mass is stored in a ring
+    buffer of as many layers as the most expensive move passes.
 
-    Mass waits at (layer, node) in a ring as wide as the most expensive step. For few nodes, layers
-    far beyond the settled ones are reached by powers of the transition of one layer
+    Linear solves give the goal probability and the expected cost from each node. The remaining
+    probability and cost of unsettled mass are computed from them, not as differences of large
+    numbers. For few nodes, powers of a matrix lead to layers far beyond the settled ones
     (:attr:`leaps`).
 
     Raises:
-        ModelError: the costs have no common unit that gives a sane number of layers.
+        ModelError: the costs have no common unit, or one step passes too many layers.
     """
 
     _number: npt.DTypeLike = np.int64
@@ -308,7 +316,8 @@ class Arrivals:
             live: the chain.
             unit: unit of all costs.
             steps: cost of each move in units, [moves].
-            block: block of columns to which each move leads, [moves].
+            block: block of matrix columns for each move: its cost in units, or the index of its
+                cost among the distinct costs, [moves].
         """
         self.settled, self.unit = 0, unit  # layers 0 .. settled - 1 are settled
         self._live, self._size = live, len(live.start)
@@ -355,7 +364,7 @@ class Arrivals:
         return not self._occupied.any()
 
     def last_layer(self, bound: float | Fraction) -> int:
-        """Return the last layer within a total cost, computed in integers."""
+        """Return the last layer whose total cost is at most ``bound``, computed in integers."""
         far = float(_LAST_LAYER * self.unit)
         if not isinstance(bound, Rational) and not 0.0 < bound < far:
             return 0 if bound == 0.0 else -1 if bound < 0.0 else _LAST_LAYER
@@ -391,37 +400,44 @@ class Arrivals:
 
     @property
     def leaps(self) -> bool:
-        """Whether unsettled layers can be reached by powers: there are few places.
+        """Whether unsettled layers can be reached by powers of a matrix.
 
-        It becomes true after settling has taken as much work as the powers will take.
+        The matrix must have few rows, and settling must have taken as much work as the powers
+        will take.
         """
         size = self._powers.size
         few = size <= _MOST_PLACES and not self.exhausted
         return few and self._work >= _WORK_OF_POWERS * size**3
 
     def arrived(self, layer: int) -> float:
-        """Return Pr(goal, C < layer), for a settled layer, or any layer if :attr:`leaps`."""
+        """Return Pr(goal, C < r), with the total cost r of a layer.
+
+        The layer must be settled, unless :attr:`leaps` is true.
+        """
         layers, masses = self.atoms()
         arrived = float(masses[np.asarray(layers < layer, dtype=np.bool_)].sum())
         return arrived + self._ahead(layer)[0] if layer > self.settled and self.leaps else arrived
 
     def first_reaching(self, mass: float) -> int:
-        """Return the unsettled layer in which arrivals reach a mass; needs :attr:`leaps`.
+        """Return the unsettled layer up to which the arrivals together reach a mass.
+
+        :attr:`leaps` must be true.
 
         Raises:
-            ModelError: it lies beyond 2^62 layers.
+            ModelError: the layer lies beyond 2^62 layers.
         """
         beyond = max(mass - sum(self._masses), float(np.finfo(np.float64).tiny))
         layers = self._powers.until(self._here(), beyond)
         if layers is None:
-            raise ModelError(self._too_large("the answer lies too far out"))
+            raise ModelError(self._too_large("the requested cost is too high"))
         return self.settled + layers
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Return Pr(goal), and E[C - layer; goal], of arrivals in a layer or later.
+        """Return Pr(goal) and E[C - r; goal] of arrivals from a layer of total cost r on.
 
         Args:
-            layer: None: the first layer that is not settled; a later one needs :attr:`leaps`.
+            layer: the layer; None: the first one that is not settled. For a later one :attr:`leaps`
+                must be true.
         """
         if layer is None:
             occupied = np.flatnonzero(self._waiting)
@@ -435,16 +451,16 @@ class Arrivals:
 
     @cached_property
     def _powers(self) -> _LayerPowers:
-        """Powers of the transition of one layer."""
+        """Effects of passing 1, 2, 4, ... layers."""
         return _LayerPowers(self._onward, self._live.lost, self._free)
 
     def _here(self) -> FloatArray:
-        """Return the waiting mass before the first layer that is not settled, [places]."""
+        """Return the mass that waits now, before the first unsettled layer, [places]."""
         rows = (self.settled + self._powers.delay) % self._width
         return np.asarray(self._waiting[rows * self._size + self._powers.node])
 
     def _ahead(self, layer: int) -> tuple[float, FloatArray]:
-        """Return the mass arriving between the settled layers and a later layer, and the rest."""
+        """Return the mass arriving before a later layer, and the mass waiting there, [places]."""
         return self._powers.after(self._here(), layer - self.settled)
 
     def _to_next(self) -> int | None:
@@ -504,10 +520,16 @@ class Arrivals:
         """Count the moves followed; raise ModelError if they are too many."""
         self._work += work
         if self._work > _MOST_WORK:
-            raise ModelError(self._too_large("the answer lies too far out"))
+            raise ModelError(self._too_large("too many layers would have to be followed"))
 
     def _send(self, visits: FloatArray, active: IntArray, begin: int) -> None:
-        """Send mass on along moves that cost something or reach the goal, into the ring."""
+        """Send visits along moves that cost something or reach the goal, into the ring buffer.
+
+        Args:
+            visits: visits of the layer, [nodes before the goal].
+            active: nodes with visits, increasing.
+            begin: position of the layer in the waiting mass.
+        """
         moves, waiting = self._onward, self._waiting
         first = moves.indptr[active].astype(np.int64)
         counts = moves.indptr[active + 1] - first
@@ -523,11 +545,11 @@ class Arrivals:
         waiting[:begin] += sent[turn:]
 
     def _too_large(self, reason: str) -> str:
-        """Return the message of an error about too large a table."""
+        """Return the message for a table that would be too large, with the reason."""
         return (
-            f"the law of the cost given success takes too large a table ({reason}): "
+            f"the distribution of the cost given success takes too large a table ({reason}): "
             f"{self._size - 1:,} nodes of the policy's chain times {self._width:,} layers of cost "
-            f"{float(self.unit):g}, with {self.settled:,} layers done. Round the costs to a "
+            f"{float(self.unit):g}, of which {self.settled:,} are computed. Round the costs to a "
             "coarser grid when building the model, or ask for a lower cost or level"
         )
 
@@ -545,11 +567,11 @@ class TooManySumsError(ModelError):
 
 
 class FollowedSums(Arrivals):
-    """Arrivals in layers of a tiny unit; only layers with waiting mass are visited.
+    """Arrivals at sums of costs: layers of a tiny unit, of which few have waiting mass.
 
     Likely sums are followed exactly. Mass at an unlikely sum is rounded up to the next multiple of
-    a coarse unit, where it is merged with other mass. The more sums have been followed, the
-    likelier a sum must be to stay exact.
+    a coarse unit, where it joins other mass. The limit below which a sum counts as unlikely rises
+    with the number of sums followed.
     """
 
     _number = object
@@ -570,9 +592,9 @@ class FollowedSums(Arrivals):
             exact_costs: float cost -> the fraction that it stands for.
             coarse: unit to whose multiples unlikely sums are rounded up.
             most: most sums that are followed exactly.
-            rarest: share of the successes up to which the last of these sums counts as unlikely. By
-            default only sums with a share below rounding are rounded up; otherwise all sums after
-            ``most`` are.
+            rarest: limit after ``most`` sums: a sum is unlikely if its share of the successes is
+                lower. The limit rises to this value from ``UNLIKELY``, which is below rounding. If
+                it is higher than that, all sums after ``most`` are rounded up.
         """
         distinct, step = np.unique(live.paid, return_inverse=True)
         unit = common_unit(distinct, exact_costs)
@@ -596,13 +618,13 @@ class FollowedSums(Arrivals):
         return not self._next
 
     def cost_of(self, layers: IntArray) -> FloatArray:
-        """Return the total cost of sums, rounded once, in the shape of ``layers``."""
+        """Return the total costs of sums given in units, in the shape of ``layers``."""
         up, down = self.unit.numerator, self.unit.denominator
         totals = [int(layer) * up / down for layer in np.ravel(layers).tolist()]
         return np.array(totals, dtype=np.float64).reshape(np.shape(layers))
 
     def last_layer(self, bound: float | Fraction) -> int:
-        """Return the last layer within a bound, with a tolerance for a rounded sum."""
+        """Return the last layer within a bound; a sum may exceed it by rounding."""
         return int(Fraction(bound) * (1 + Fraction(SAME_TOTAL) / 2) // self.unit)
 
     def settle(self, layers: int) -> None:
@@ -627,7 +649,11 @@ class FollowedSums(Arrivals):
         self.settled = max(self.settled, layers)
 
     def _is_unlikely(self, parts: list[tuple[IntArray, FloatArray]]) -> bool:
-        """Return whether the mass at a sum is so small that the sum is rounded."""
+        """Return whether a sum is unlikely, so that it is rounded up.
+
+        Args:
+            parts: nodes and masses that wait at the sum.
+        """
         if self._followed >= self._most:
             return self._end > self._most
         arriving = sum(float(masses @ self._live.goal[nodes]) for nodes, masses in parts)
@@ -636,13 +662,13 @@ class FollowedSums(Arrivals):
 
     @property
     def _may_be_exhausted(self) -> bool:
-        """Whether the sums may still come to an end in time."""
+        """Whether few enough sums were followed, and enough mass has arrived, to go on."""
         if self._followed <= _EARLY * self._most:
             return self._followed <= self._end and len(self._units) <= _MOST_STEPS
         return self._followed <= self._end and self._arrived >= _SOME * self._goal
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Return Pr(goal), and E[C - frontier; goal], of sums that are not settled."""
+        """Return Pr(goal) and E[C - r; goal] of the unsettled sums; r: total cost of a layer."""
         goal, cost, frontier = 0.0, 0.0, self.settled if layer is None else layer
         for begun, parts in self._pending.items():
             delay = float((begun - frontier) * self.unit)
@@ -653,7 +679,7 @@ class FollowedSums(Arrivals):
         return goal, cost
 
     def _settle_sum(self, layer: int) -> None:
-        """Settle the least waiting sum."""
+        """Settle the least waiting sum, ``layer`` units."""
         parts = self._pending.pop(layer)
         nodes = np.concatenate([part[0] for part in parts])
         masses = np.concatenate([part[1] for part in parts])

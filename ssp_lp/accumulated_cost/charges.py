@@ -36,7 +36,7 @@ def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> Flo
 
     Raises:
         ModelError: the function does not take an array, or does not return as many finite numbers;
-            the message has ``name``.
+            the message calls it ``name``.
     """
     try:
         worth = np.asarray(utility(costs), dtype=np.float64)
@@ -48,14 +48,27 @@ def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> Flo
 
 
 def _check_monotone(worth: FloatArray, growth: FloatArray, costs: FloatArray, rule: str) -> None:
-    """Raise :class:`ModelError` unless worth and growth are non-negative."""
+    """Check the sign of a function of the cost and of its differences.
+
+    Args:
+        worth: values that must be non-negative, [costs].
+        growth: differences of neighbouring values that must be non-negative, [costs - 1].
+        costs: increasing, [costs].
+        rule: beginning of the error's message.
+
+    Raises:
+        ModelError: a value or a difference is negative.
+    """
     wrong = (worth < 0.0) | np.append(growth < 0.0, False)
     if wrong.any():
         raise ModelError(f"{rule}: it does at cost {float(costs[int(np.argmax(wrong))]):g}")
 
 
 class TailValues(NamedTuple):
-    """Values of a stationary policy, followed as a tail from each node; arrays of one shape."""
+    """Expected values of following a stationary policy (a tail) from each node.
+
+    T is the number of steps to the goal. All arrays have one shape.
+    """
 
     goal: FloatArray  # E[gamma^T; goal]
     failure: FloatArray  # 1 - goal, computed separately: the smaller of the two is exact
@@ -67,7 +80,7 @@ class TailValues(NamedTuple):
     def stacked(
         cls, policies: Sequence[TailValues], seen: Callable[[FloatArray], FloatArray]
     ) -> TailValues:
-        """Return the values of several policies as rows, mapped by a function."""
+        """Return the values of several policies as rows, each array mapped by ``seen``."""
         return cls(
             *(np.array([seen(each) for each in same]) for same in zip(*policies, strict=True))
         )
@@ -77,7 +90,10 @@ class TailValues(NamedTuple):
         return TailValues(*[each[number] for each in self])
 
     def chosen(self, last: BoolArray) -> TailValues:
-        """Return the last policy's values where ``last``, else the first's; shape of ``last``."""
+        """Return values of the last policy where ``last`` is true, elsewhere of the first policy.
+
+        The arrays have the shape of ``last``.
+        """
         return TailValues(*[np.where(last, each[-1], each[0]) for each in self])
 
 
@@ -103,7 +119,7 @@ class Charge(ABC):
 
     @property
     def is_concave(self) -> bool:
-        """Whether interpolation of the charge between two totals never exceeds it."""
+        """Whether the charge is concave: linear interpolation never exceeds it."""
         return False
 
     @abstractmethod
@@ -121,11 +137,16 @@ class Charge(ABC):
         return bool(np.isclose(float(self.at(np.array([total]))[0]), line, rtol=1e-9))
 
     def lossless(self, price: float) -> float:
-        """Return the total from which failing at a price is cheaper than the goal; 0 if flat."""
+        """Return the total at which the affine part reaches a price of failing; 0 if flat."""
         return max((price - self.offset) / self.slope, 0.0) if self.slope > 0.0 else 0.0
 
     def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
-        """Return E[charge; goal] of following a tail after some cost has been paid."""
+        """Return E[charge; goal] if a tail is followed after some cost has been paid.
+
+        Args:
+            paid: cost paid before, in a shape that fits the tail's arrays.
+            tail: values of the tail.
+        """
         linear = self.slope * (tail.cost + paid * tail.early)
         return np.asarray(linear + self.offset * tail.goal if self.offset else linear)
 
@@ -157,7 +178,7 @@ class LateCharge(Charge):
     offset = 1.0  # charge beyond the bound
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return the charge within the bound or beyond it, in the shape of ``totals``."""
+        """Return 0 within the bound and 1 beyond it, in the shape of ``totals``."""
         return np.where(np.asarray(totals) <= self.settled, self.lowest, self.offset)
 
     @property
@@ -170,8 +191,9 @@ class LateCharge(Charge):
 class ExcessCharge(Charge):
     """``z + max(cost - z, 0) / share``: the integrand of Rockafellar and Uryasev's formula.
 
-    With ``first`` it is a lower bound of the integrands for first <= z <= threshold:
-    ``max(first, min(cost, threshold)) + max(cost - threshold, 0) / share``.
+    If ``first`` is given, the charge is a lower bound of these integrands for every z between
+    ``first`` and ``threshold``: ``max(first, min(cost, threshold)) + max(cost - threshold, 0) /
+    share``.
     """
 
     threshold: float  # z
@@ -219,7 +241,7 @@ class Measure(ABC):
 
     @property
     def charge(self) -> Charge:
-        """The charge whose expectation is the measure; in a search over charges, the first one."""
+        """The charge whose expectation is the measure, or the first one of a search."""
         return TOTAL_COST
 
     @abstractmethod
@@ -228,7 +250,7 @@ class Measure(ABC):
 
 
 class Reward(Charge, Measure):
-    """A maximised expectation; its charge is minus the worth of the goal relative to failing."""
+    """A maximised expectation; its charge is the worth of failing minus that of success."""
 
     maximised = is_expectation = True
 
@@ -264,7 +286,8 @@ class WithinBound(LateCharge, Reward):
 class ExpectedUtility(Reward):
     """E[utility of the total cost] + bonus * Pr(goal); failing has infinite cost (GUBS).
 
-    Beyond the cap the utility is replaced by its limit, which is a lower bound.
+    Beyond the cap, the greatest total that is distinguished, the utility is replaced by its limit,
+    which is a lower bound.
     """
 
     utility: Utility
@@ -316,7 +339,8 @@ class ExpectedUtility(Reward):
 class ExponentialUtility(Reward):
     """E[exp(rate * total cost); goal] + bonus * Pr(goal), rate < 0 (eGUBS).
 
-    The worth of a tail factors exactly.
+    The utility of a sum of costs is the product of their utilities, so that the worth of following
+    a tail is exact at every cost paid before.
     """
 
     rate: float
@@ -343,7 +367,7 @@ class ExponentialUtility(Reward):
         return np.asarray(-(np.exp(self.rate * np.asarray(totals)) + self.bonus))
 
     def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
-        """Return ``-(exp(rate * paid) * E[exp(rate * cost)] + bonus * goal)`` of a tail."""
+        """Return ``-(exp(rate * paid) * E[exp(rate * cost); goal] + bonus * Pr(goal))``."""
         return np.asarray(-(np.exp(self.rate * paid) * tail.moment + self.bonus * tail.goal))
 
     def of(self, law: CostLaw) -> float:

@@ -48,12 +48,14 @@ class CostLaw:
     """The sub-probability law of the total cost C on the runs that reach the goal.
 
     The missing mass is the failure probability. :attr:`goal`, :attr:`cost` and :meth:`exponential`
-    are linear solves on the policy's chain. Other numbers follow the chain through layers of the
-    costs' common unit, or through the sums that occur, as far as needed. The progress is cached for
-    the next call, and does not change a result. Very unlikely sums are rounded up. If there are too
-    many likely sums, all costs are rounded up: by less than a two-thousandth of the mean, or to the
-    finer layers of a policy that rounds up itself. Rounding never understates a total, quantile,
-    excess or late arrival, and never overstates a utility.
+    are linear solves on the policy's chain. All other numbers follow the chain's mass through
+    layers of the costs' common unit, or through the sums of costs that occur, as far as each number
+    needs. The mass followed so far is kept for the next call. This does not change any result.
+
+    Very unlikely sums are rounded up. If there are too many likely sums, every cost is rounded up,
+    by less than a two-thousandth of the mean. If the policy itself rounds costs up to a finer unit,
+    this unit is used. Rounding never understates a total, quantile, excess or late arrival, and
+    never overstates a utility.
     """
 
     _chains: tuple[Chain, ...]  # chains of the members of the lottery
@@ -62,7 +64,7 @@ class CostLaw:
 
     @property
     def is_finer(self) -> bool:
-        """Whether the law uses the true costs although the members round costs up."""
+        """Whether the law has the true costs although the lottery's members round costs up."""
         return bool(self._rounded)
 
     @cached_property
@@ -228,7 +230,7 @@ class CostLaw:
     def upto(self, bound: float | Fraction) -> Atoms:
         """Return the atoms up to a total cost ``bound``, compared as :meth:`within` does."""
         if bound == inf:
-            raise ModelError("give a finite bound, or all_but(mass)")
+            raise ModelError("the bound must be finite: pass one, or use all_but(mass)")
         _check_cost_number(bound, "bound")
 
         def atoms(arrivals: Arrivals) -> Atoms:
@@ -244,16 +246,16 @@ class CostLaw:
 
     @explained
     def all_but(self, mass: float) -> Atoms:
-        """Return the first atoms, without a mass of at most ``mass`` of the successes.
+        """Return the atoms in order of cost, without the last ones of at most ``mass`` together.
 
         Raises:
             ModelError: the mass is not above 0.
         """
         if not float(mass) > 0.0:
-            raise wrong_argument("mass", "be above 0", mass, ": the support may be infinite")
+            raise wrong_argument("mass", "be above 0", mass, ": give a small one, such as 1e-9")
 
         def atoms(arrivals: Arrivals) -> Atoms:
-            """Return all but the last, unlikely atoms."""
+            """Return the atoms except the last ones."""
             for _ in arrivals.followed():
                 if arrivals.remaining()[0] <= mass:
                     break
@@ -265,15 +267,15 @@ class CostLaw:
         return self._answer(atoms)
 
     def _mean(self, of: Callable[[Chain], float]) -> float:
-        """Return the lottery's mean of a number that each member's chain gives."""
+        """Return the mean over the lottery of a function of a member's chain."""
         numbers = zip(self._chains, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 
     def _answer(self, question: Callable[[Arrivals], _Answer]) -> _Answer:
-        """Return the answer of the first sweep that does not raise ModelError.
+        """Return a function's result for the first sweep that can compute it.
 
         Raises:
-            ModelError: all sweeps raise it.
+            ModelError: no sweep can: each raises ModelError.
         """
         refused = list[ModelError]()
         for sweep in self._sweeps():
@@ -284,10 +286,10 @@ class CostLaw:
         raise next(e for e in reversed(refused) if not isinstance(e, TooManySumsError))
 
     def _sweeps(self) -> Iterator[Arrivals]:
-        """Yield the sweeps over the total cost in the order of use, made when needed.
+        """Yield the sweeps over the total cost in the order in which they are tried.
 
-        If a step passes many layers of the costs' unit, sums are followed before layers. Costs are
-        rounded if neither is possible.
+        Layers come first, or sums of costs if one step passes many layers. A sweep with rounded
+        costs comes last. Each sweep is created when it is needed.
         """
         layers = self._layers
         is_narrow = layers is not None and layers.is_narrow
@@ -301,7 +303,7 @@ class CostLaw:
 
     @cached_property
     def _live(self) -> LiveChain:
-        """Live chain of the members, side by side."""
+        """Chains of the members side by side, as far as they can reach the goal."""
         return LiveChain.of(self._chains, self._weights)
 
     @cached_property
@@ -324,7 +326,7 @@ class CostLaw:
 
     @cached_property
     def _rounded_sweep(self) -> Arrivals:
-        """Arrivals with costs rounded up to multiples of the policy's or the coarse unit."""
+        """Arrivals with costs rounded up to the policy's unit, if finer, or the coarse unit."""
         if self._rounded:
             counted = Arrivals(LiveChain.of(self._rounded, self._weights), self._exact_costs)
             if counted.unit <= self._coarse_unit:
@@ -333,7 +335,7 @@ class CostLaw:
 
     @cached_property
     def _coarse_unit(self) -> Fraction:
-        """Unit of rounded costs, with few layers."""
+        """Unit to which costs are rounded up if their exact sums are too many."""
         most = max(min(_MOST_UNITS, _MOST_ROUNDED // len(self._live.start)), 1)
         least_unit = float(self._live.paid.max(initial=0.0)) / most
         return Fraction(max(self.conditional_mean / _FINE, least_unit))

@@ -26,11 +26,11 @@ _ONE = np.ones(1)
 
 
 def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachPolicy:
-    """Maximise the moment E[exp(rate * C); goal] over the policies on some pairs.
+    """Maximise the moment E[exp(rate * C); goal] over the policies that use only some pairs.
 
-    Every step of positive cost multiplies the later worth by a factor below 1, so this is an
-    ordinary problem on a substochastic process. Free end components are collapsed, and a policy
-    leaves them.
+    A step multiplies the moment that follows it by exp(rate * cost). The moment is therefore the
+    probability of reaching the goal in a process whose transition probabilities are scaled by this
+    factor. End components of cost 0 are collapsed to single nodes, and policies must leave them.
 
     Args:
         model: the model.
@@ -58,16 +58,19 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> ReachP
 def pairs_keeping_goal(model: SSP, greatest: GoalReach) -> BoolArray:
     """Return a mask of the pairs that preserve the greatest goal probability, [pairs].
 
-    Pairs that lose no more than the failure floor are included, because such a pair could stay
-    optimal until the cost exceeds every cap. The loss of a tail on these pairs is a part of the gap
-    between the tail's value and the bound.
+    Pairs with a relative loss of at most ``FAILURE_FLOOR`` are included, since such a pair may be
+    optimal at any accumulated cost that is computed. What a tail loses by these pairs is included
+    in the gap between its value and the bound.
     """
     floor = FAILURE_FLOOR * greatest.goal[model.pair_state]
     return greatest.usable | (_lost_goal(model, greatest) <= floor)
 
 
 def _lost_goal(model: SSP, greatest: GoalReach) -> FloatArray:
-    """Return the loss of greatest goal probability by taking each pair once, [pairs]."""
+    """Return the goal probability that is lost by taking a pair once, [pairs].
+
+    Before and after the pair the goal probability is the greatest one.
+    """
     here = greatest.goal[model.pair_state]
     return np.asarray(here - successor_means(model, greatest.goal))
 
@@ -77,10 +80,11 @@ def cost_horizon(
 ) -> float:
     """Return C_max of eGUBS: the accumulated cost from which a tail is optimal.
 
-    At (s, r) the tail is optimal if no pair is better: bonus * (P(s) - Q_P(s, a)) >= exp(rate * r)
-    * (Q_V(s, a) - V(s)) for all pairs, with the greatest goal probability P and the moment V of the
-    tail. Pairs that (nearly) preserve P satisfy it since V is optimal; each other pair satisfies it
-    from some r on.
+    In state s after cost r the tail is optimal if every pair (s, a) satisfies bonus * (P(s) -
+    Q_P(s, a)) >= exp(rate * r) * (Q_V(s, a) - V(s)). Here P is the greatest goal probability, V the
+    moment of the tail, and Q_P and Q_V are their values if a is taken once. Pairs that (nearly)
+    preserve P satisfy this at every r, since V is optimal. All other pairs satisfy it from some r
+    on.
 
     Args:
         model: the model.

@@ -1,9 +1,10 @@
-"""Cost-aware policies, followed through layers of accumulated cost on the model's outcomes.
+"""Evaluation of cost-aware policies by following their mass through layers of accumulated cost.
 
-The mass of a policy is followed forwards together with the cost paid; only the layers that a step
-can reach are held. Below the cap this gives the value of the policy and the law of its total cost.
-Mass that reaches the cap continues by the policy's tails, whose chains are built explicitly. Free
-steps form a chain within each layer.
+The probability mass of a policy is followed forwards from layer to layer, together with the cost
+paid. Only the layers that one step can reach are in memory, as rows of a ring buffer. Steps of
+cost 0 form a chain within a layer. Up to the cap, the last layer at which the policy depends on the
+cost, this gives the value of the policy and the law of its total cost. Beyond the cap the policy
+follows stationary policies (tails), whose chains are built explicitly.
 
 If a policy never reaches the goal from a state, the goal can be avoided surely there, and the
 policy may give up, since later costs do not change the cost given success.
@@ -45,23 +46,23 @@ ENDED = -3
 _NO_CLASSES = np.zeros(0, dtype=np.uint8)
 _NO_MARKS = np.zeros((0, 0), dtype=np.bool_)
 _UNCHARGED = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.bool_), False
-_AT_ONCE = 1_000_000  # decisions between two looks at the time
+_AT_ONCE = 1_000_000  # decisions between two checks of the time
 _LOG = logging.getLogger("ssp_lp.evaluation")
 
 
 @dataclass(frozen=True, eq=False)
 class _Staying:
-    """Moves within a layer, among k states that such moves connect."""
+    """Moves of cost 0, which stay within a layer, among k states."""
 
     share: sp.csr_array  # [k, k] probabilities
     paid: sp.csr_array  # [k, k] probabilities times cost
     onward: FloatArray  # [k] probability of moving to a later layer
 
     def closed(self, among: BoolArray) -> BoolArray:
-        """Return a mask of the states in closed classes within the layer, [k].
+        """Return a mask of the states from which moves of cost 0 never leave the layer, [k].
 
         Args:
-            among: states that may be closed; all other states leave, [k].
+            among: states that may be in the mask; all other states count as leaving, [k].
         """
         closed = np.zeros(len(among), dtype=np.bool_)
         closed[System(self.share, np.where(among, self.onward, 1.0)).closed] = True
@@ -73,8 +74,8 @@ class _Staying:
         Args:
             entering: the mass that enters the layer and, in an optional second column, this mass
                 times the cost paid before, [k, 1 or 2].
-            inside: states whose moves are followed; all of them must leave, [k].
-            survival: factor of every move.
+            inside: states whose moves are followed; runs must leave this set, [k].
+            survival: discount of every move.
         """
         nodes, visits = np.flatnonzero(inside), entering.copy()
         rows = sp.csr_array(self.share[nodes] * survival)
@@ -92,10 +93,10 @@ class _Staying:
 
 @dataclass(frozen=True, eq=False)
 class LayerMoves:
-    """The outcomes of a model by the class of their cost, for a layered policy.
+    """The steps of a model under a policy that depends on the layer of accumulated cost.
 
-    Layers ahead are rows of a ring. ``ring`` gives the row to which each class of steps leads, -1
-    if it stays in the layer, [classes].
+    A class of steps has one cost, so that all its steps pass equally many layers. Mass that waits
+    in later layers is stored in the rows of a ring buffer.
     """
 
     model: SSP
@@ -108,7 +109,7 @@ class LayerMoves:
 
     @cached_property
     def classes(self) -> IntArray:
-        """Index of each outcome's cost among the distinct step costs, [outcomes]; or empty."""
+        """Index of each outcome's cost among the distinct costs, [outcomes]; empty if only one."""
         costs, model = self.layers.costs, self.model
         if len(costs) == 1:
             return _NO_CLASSES
@@ -119,17 +120,23 @@ class LayerMoves:
 
     @property
     def room(self) -> int:
-        """Number of rows of the ring: the layers that a step may reach."""
+        """Number of rows of the ring buffer: the layers that a step may reach."""
         return max(self.layers.width - 1, 1)
 
     def pairs(self, layer: int, states: IntArray) -> IntArray:
-        """Return the policy's pair in a layer for each of the states, or a code (ENDED at ends)."""
+        """Return the policy's pair in a layer for each of some states.
+
+        A negative code stands for giving up, for a missing decision, and (``ENDED``) for an end.
+        """
         decision = self.layers.decision[layer][states]
         pair = np.where(decision < 0, decision, self.model.pair_offsets[states] + decision)
         return np.where(self.acting[states], pair, ENDED)
 
     def ring(self, layer: int) -> IntArray:
-        """Return the row of the ring to which each class leads, [classes]; -1: it stays."""
+        """Return the row of the ring buffer to which a class of steps leads, [classes].
+
+        -1: the steps stay in the layer.
+        """
         leads, room = self.layers.leads(layer), self.room
         ring = leads + layer % room
         ring[ring >= room] -= room  # no step leads beyond the ring
@@ -146,12 +153,12 @@ class LayerMoves:
 
     @with_twin
     def meet(self, begin: int, end: int, hopeful: BoolArray) -> None:
-        """Mark the states from which a policy may reach marked states, in place.
+        """Mark, in place, the states of some layers from which a policy may reach marked states.
 
         Args:
-            begin: the first layer. Steps of one cost class must pass the same number of layers from
-                every layer between begin and end.
-            end: the layer after the last one; layers are handled from the last one on.
+            begin: the first layer. A class of steps must pass equally many layers from each layer
+                between begin and end.
+            end: the layer after the last one. Layers are marked from the last one backwards.
             hopeful: marks, updated, [layers and layers ahead, states].
         """
         check_time()
@@ -183,21 +190,21 @@ class LayerMoves:
         hopeful: BoolArray | None = None,
         first: int = 0,
     ) -> Iterator[tuple[int, IntArray, IntArray, FloatArray]]:
-        """Follow mass layer by layer; mass beyond the last layer stays in the ring.
+        """Follow mass layer by layer; mass beyond the last layer stays in the ring buffer.
 
         Args:
-            waiting: mass in the rows of the ring, [rows, states, columns], updated. There is one
-                column, or three for each discount: mass that has not lost the goal, this mass times
-                the cost paid, and mass that has lost the goal.
+            waiting: mass in the rows of the ring buffer, [rows, states, columns], updated. With
+                ``hopeful`` there are three columns for each discount: mass that has not lost the
+                goal, this mass times the cost paid, and mass that has lost the goal. Without
+                ``hopeful`` there is one column of mass.
             survivals: the discounts.
-            hopeful: mask of the states from which the goal can be reached, [layers, states]; None:
-                there is one column.
+            hopeful: mask of the states from which the goal can be reached, [layers, states].
             first: the first layer.
 
         Yields:
-            The layer, the states with mass, their pairs, [k] each, and their expected visits,
-            [k, columns], infinite if they never end. Mass that has just lost the goal counts in the
-            first and in the third column.
+            The layer, the k states with mass, their pairs, [k], and their expected visits, [k,
+            columns], infinite if the visits never end. Mass that loses the goal in this layer
+            counts in the first and in the third column.
         """
         everywhere, layers = np.arange(self.model.n_states), self.layers
         for layer in range(first, layers.count):
@@ -231,10 +238,10 @@ class LayerMoves:
             yield layer, here, pairs, visits
 
     def is_soon_followed(self, least_nodes: int) -> bool:
-        """Return whether following the layers takes no longer than building the policy's chain.
+        """Return whether to follow the layers, rather than to build the policy's chain.
 
         Args:
-            least_nodes: states times layers from which the layers count as fast.
+            least_nodes: states times layers from which layers are always followed.
         """
         layers, nodes = self.layers, self.layers.count * self.model.n_states
         is_even = layers.even == layers.count and bool((layers.leads(0) > 0).all())
@@ -249,21 +256,22 @@ class LayerMoves:
         hopeful: BoolArray = _NO_MARKS,
         charged: tuple[FloatArray, FloatArray, BoolArray, bool] = _UNCHARGED,
     ) -> FloatArray | None:
-        """Follow mass through the first layers, as many as one compiled pass may follow.
+        """Follow mass in one compiled pass through the first layers, as far as possible.
 
-        These layers have steps that all go on, equally many layers ahead from each layer.
+        In these layers no step has cost 0, and a class of steps always passes equally many layers.
 
         Args:
             waiting: mass, as for ``follow``.
-            stopped: written: mass that ends in each state, and that gives up, [2, states].
+            stopped: written: mass that ends in each state, and mass that gives up, [2, states].
             survivals: the discounts.
-            hopeful: where the goal can be reached, [layers, states]; empty: for one column.
+            hopeful: mask of the states from which the goal can be reached, [layers, states]; empty
+                if ``waiting`` has one column.
             charged: mean cost of a step, [pairs]; cost of failing, [states]; whether giving up is
                 forbidden, [states]; and whether costs are paid after the goal is lost.
 
         Returns:
-            Goal, failure, cost of success and cost until failure, [layers, discounts, 4]; None
-            where a decision is missing or not allowed.
+            Goal, failure, cost of success and cost until failure, [layers, discounts, 4]; None if
+            a decision is missing or not allowed.
         """
         model, layers, leads = self.model, self.layers, self.layers.leads(0)
         entries, several = model.n_outcomes * layers.even, _AT_ONCE // model.n_states + 1
@@ -287,13 +295,13 @@ class LayerMoves:
 
     @with_twin
     def send(self, mass: FloatArray, pairs: IntArray, ring: IntArray, waiting: FloatArray) -> None:
-        """Send the mass of k states on to later layers by their pairs, in place.
+        """Add the mass that k states send to later layers to the waiting mass.
 
         Args:
-            mass: mass as in ``follow``, [k, columns].
-            pairs: [k].
-            ring: [classes].
-            waiting: [rows, states, columns].
+            mass: mass of the states, with the columns of ``follow``, [k, columns].
+            pairs: pairs that are taken, [k].
+            ring: row of the ring buffer for each class of steps, [classes].
+            waiting: updated, [rows, states, columns].
         """
         check_time()
         costs = self.layers.costs
@@ -308,12 +316,12 @@ class LayerMoves:
         np.add.at(waiting, place, moved * self.model.probabilities[outcome, None])
 
     def within(self, pairs: IntArray, ring: IntArray, begins: IntArray) -> IntArray:
-        """Return the states reached within a layer from some states, these included, increasing.
+        """Return the states that moves of cost 0 reach from some states, increasing.
 
         Args:
             pairs: pairs of all states, [states].
-            ring: [classes].
-            begins: the states, increasing.
+            ring: row of the ring buffer for each class of steps, [classes].
+            begins: the first states, increasing; they belong to the result.
         """
         source, outcome, _ = self._taken(pairs, ring < 0)
         if not source.size:
@@ -322,12 +330,12 @@ class LayerMoves:
         return np.flatnonzero(reached_along(self.model.successors[outcome], offsets, begins))
 
     def staying(self, states: IntArray, pairs: IntArray, ring: IntArray) -> _Staying | None:
-        """Return the moves within a layer; None: there are none.
+        """Return the moves of cost 0 within a layer; None: there are none.
 
         Args:
-            states: states closed under such moves, increasing, [k].
-            pairs: [k].
-            ring: [classes].
+            states: states that these moves do not leave, increasing, [k].
+            pairs: pairs that are taken, [k].
+            ring: row of the ring buffer for each class of steps, [classes].
         """
         if (ring >= 0).all():
             return None
@@ -344,13 +352,18 @@ class LayerMoves:
 
     @property
     def outcomes(self) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-        """Arrays of the outcomes for compiled loops."""
+        """Offsets, successors, probabilities and classes of the outcomes, for compiled loops."""
         model = self.model
         successors = model.successors.view(np.uint32)
         return model.outcome_offsets, successors, model.probabilities, self.classes
 
     def _taken(self, pairs: IntArray, wanted: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Return position, outcome and class of each possible move of the wanted classes."""
+        """Return the moves of some classes: position of the pair, outcome and class, [moves] each.
+
+        Args:
+            pairs: pairs that are taken, negative: none, [k].
+            wanted: mask of the classes, [classes].
+        """
         where = np.flatnonzero(pairs >= 0)
         begin = self.model.outcome_offsets[pairs[where]]
         counts = self.model.outcome_offsets[pairs[where] + 1] - begin
@@ -395,7 +408,8 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
     """Return masks of the states from which a cost-aware policy may reach the goal.
 
     Returns:
-        [layers + layers beyond the last one that a step can reach, states], and [tails, states].
+        Masks for the layers and for the later layers that a step can reach, [layers and layers
+        ahead, states], and for the tails, [tails, states].
 
     Raises:
         Stop: the time limit was reached.
@@ -420,10 +434,14 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
 
 
 def landed_chains(moves: LayerMoves, waiting: FloatArray) -> Iterator[tuple[Chain, FloatArray]]:
-    """Yield the chains of the tails, and the mass that ``LayerMoves.follow`` left for each.
+    """Yield each tail's chain with the mass that reaches it from the layers below the cap.
+
+    Args:
+        moves: the policy's moves.
+        waiting: mass that ``LayerMoves.follow`` left in the ring buffer, [rows, states, columns].
 
     Yields:
-        The chain, and the mass that enters it in each layer beyond the last, [layers, nodes,
+        The chain, and the mass that enters it in each layer beyond the cap, [layers ahead, nodes,
         columns].
 
     Raises:
@@ -448,21 +466,22 @@ LARGE = 300_000
 _NOTHING = np.zeros(0, dtype=np.int64)
 
 _FEW_NODES = 1_000
-"""Nodes up to which a chain is built for any memory, since its law is found quickly."""
+"""Nodes up to which the chain of any policy is built, since its law is then computed quickly."""
 
 
 def chain_of_law(
     model: SSP, policy: Policy, start: FloatArray, *, least_nodes: int = LARGE
 ) -> Chain:
-    """Return a chain with the law of a policy's total cost: its own, or a smaller one by layers.
+    """Return a chain whose total cost has the law of a policy's total cost.
 
-    For a policy that rounds costs up, the smaller chain has the law of the rounded costs.
+    It is the policy's own chain or, if that is large, a smaller one built from the law by layers.
+    If the policy rounds costs up, the smaller chain has the law of the rounded costs.
 
     Args:
         model: the model.
         policy: policy on the model.
         start: distribution over states, [states].
-        least_nodes: states times layers from which the smaller chain is used.
+        least_nodes: states times layers from which the smaller chain is always used.
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches.
@@ -479,16 +498,17 @@ def chain_of_law(
 def chains_of_law(
     model: SSP, policy: Policy, start: FloatArray, chain: Chain | None = None, *, soon: bool = False
 ) -> tuple[Chain, Chain]:
-    """Return chains with the law of a policy's total cost: as paid, and as its layers round it.
+    """Return a chain with the law of a policy's total cost, and one with costs rounded up.
 
-    They are the same chain if the policy does not round up, or if its own chain is too large.
+    Costs are rounded up as the policy's layers do. Both chains are one object if the policy does
+    not round costs up, or if the chain with true costs would be too large.
 
     Args:
         model: the model.
         policy: policy on the model.
         start: distribution over states, [states].
         chain: chain of the policy, if known.
-        soon: avoid a chain of many nodes, even if the policy has little memory.
+        soon: never build a chain of many nodes with true costs.
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches.
@@ -507,14 +527,12 @@ def chains_of_law(
 
 
 def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Compute the law of a layered policy by a forward sweep of its mass.
-
-    The result is None if a decision is missing, or if a cost is not an exact multiple of the unit
-    and is not rounded up to one.
+    """Compute the law of a layered policy's total cost by following its mass forwards.
 
     Returns:
-        Mass that reaches the goal below the cap, [layers]; and mass beyond it, as in
-        ``LayerMoves.follow``.
+        The mass that reaches the goal in each layer below the cap, [layers], and the mass left
+        beyond it, as ``LayerMoves.follow`` leaves it. None if a decision is missing, or if the
+        policy does not round costs up and a cost is not an exact multiple of the unit.
     """
     layers, exact = moves.layers, moves.model.exact_costs
     if layers.unit is None:
@@ -536,10 +554,16 @@ def _law_forwards(moves: LayerMoves, start: FloatArray) -> tuple[FloatArray, Flo
 
 
 def _block_chain_of_law(moves: LayerMoves, arrived: FloatArray, waiting: FloatArray) -> Chain:
-    """Return a chain with a layered policy's law: nodes for blocks of layers, goal, and tails.
+    """Return a small chain whose total cost has the law of a layered policy.
 
-    A block moves to the next block, or to the goal at the cost of each of its layers; the last
-    block also moves to the tails beyond the cap. Mass that fails below the cap is not in the start.
+    Its nodes are blocks of layers, the goal, and the nodes of the tails' chains. A block moves to
+    the next block, or to the goal at the cost of one of its layers. The last block also moves to
+    the tails beyond the cap. The start has only the mass that does not fail below the cap.
+
+    Args:
+        moves: the policy's moves.
+        arrived: mass that reaches the goal in each layer, [layers].
+        waiting: mass beyond the cap, as ``LayerMoves.follow`` leaves it.
     """
     model, layers, block = moves.model, moves.layers, moves.room  # about the longest move
     count, unit = -(-layers.count // block), layers.unit or 0.0

@@ -82,7 +82,7 @@ class AccumulatedCost:
 
     @cached_property
     def by_steps(self) -> bool:
-        """Whether step classes are distinct costs, rather than multiples of a unit."""
+        """Whether a class of steps is a distinct cost, rather than a multiple of a unit."""
         return self.last_steps is not None
 
     @cached_property
@@ -115,7 +115,8 @@ class AccumulatedCost:
     def steps_within(self) -> FloatArray | None:
         """Upper bound of every policy's expected steps within a layer, [nodes]; None: it is large.
 
-        Once one more iteration raises the bound by at most 1/2, twice the bound is valid.
+        Backups raise a lower bound. Once a backup adds at most 1/2 to every state, twice the lower
+        bound is an upper bound.
         """
         steps = np.ones(self.n_nodes)
         for _ in range(_MOST_TURNS):
@@ -148,11 +149,11 @@ class AccumulatedCost:
 
 
 def spread_layer(base: AccumulatedCost, spread: Spread, start: FloatArray) -> AccumulatedCost:
-    """Return one layer without collapsed components and with all self-loops.
+    """Return a layer in which components are not collapsed and self-loops are not removed.
 
     Args:
         base: the layer as methods use it, without discount.
-        spread: the uncollapsed pairs of its quotient.
+        spread: the pairs of its quotient before components were collapsed.
         start: distribution over states, [states].
     """
     instant, later = _steps_by_cost(spread.quotient, base.step_classes, base.survival)
@@ -195,12 +196,12 @@ def accumulate_cost(
             be charged.
         usable: pairs that may be used, [model pairs]. If given, a policy may not fail by choice:
             this is the second stage of a least-failure problem (mathematics, section 4).
-        side: further limits.
+        side: other limits of the problem. A pair is free only if it adds nothing to them.
         by_steps: classify steps by distinct costs, rather than by multiples of a common unit.
-        quotient: the live part of the model, with the pairs that give up; None: built here.
+        quotient: the nodes and pairs of a layer, with pairs for giving up; None: built here.
 
     Raises:
-        ModelError: the costs have no common unit that gives a sane number of layers.
+        ModelError: the costs have no common unit, or one step passes too many layers.
     """
     survival = survival_of(discount)
     if quotient is None:
@@ -241,7 +242,7 @@ def accumulate_cost(
 
 
 def _departing(base: AccumulatedCost) -> AccumulatedCost:
-    """Remove free self-loops by conditioning on departure, which changes no total."""
+    """Remove self-loops of cost 0 by conditioning each pair on departing; no total changes."""
     later = written_out(base.later)
     leak = base.gain + base.failure + np.asarray(later.sum(axis=1)).ravel()
     instant = base.instant.copy()
@@ -307,7 +308,7 @@ class ChargedLayers:
         return self.charge.is_the_total
 
     def charged(self, layer: int) -> PairCost:
-        """Return the expected charge of each pair at the goal, from a layer, [pairs]."""
+        """Return the expected charge of each pair's step into the goal from a layer, [pairs]."""
         base, totals = self.base, self.totals.values
         if self.grows_evenly or base.arrivals is None:
             return PairCost(base.gain_cost, base.gain, float(totals[layer]))
@@ -333,7 +334,7 @@ class ChargedLayers:
         return (self.base.gain if arrivals is None else np.diff(arrivals.indptr)).nonzero()[0]
 
     def charged_arriving(self, some: slice) -> FloatArray:
-        """Return the expected charges of the arriving pairs from some layers, [some, arriving]."""
+        """Return ``charged`` for a range of layers and the arriving pairs, [some, arriving]."""
         base, arrivals, paid = self.base, self.base.arrivals, self.totals.values[some, None]
         if arrivals is None:
             return base.gain_cost[self.arriving] + paid * base.gain[self.arriving]
@@ -350,16 +351,16 @@ class ChargedLayers:
 
     @cached_property
     def start_charge(self) -> float:
-        """Charge of the start mass on goals."""
+        """Expected charge of episodes that start in a goal."""
         return self.base.start_goal * float(self.charge.at(np.zeros(1))[0])
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredTails:
-    """Stationary policies beyond the cap, with their values at each node.
+    """Stationary policies (tails) that are followed beyond the cap, with values at each node.
 
-    Row 0 goes to the goal, with least failure if ``exact``; the last row has the greatest failure
-    (the paper's pi'_or).
+    The policy of row 0 moves to the goal, with least failure if ``exact``. The policy of the last
+    row has the greatest failure (the paper's pi'_or).
     """
 
     decisions: IntArray  # [tails, states]
@@ -388,25 +389,25 @@ class LayeredProcess(ChargedLayers):
 
     @cached_property
     def end(self) -> float:
-        """The total of the cap, in units."""
+        """Accumulated cost of the cap, in units."""
         return float(self.totals.values[-1]) if self.base.by_steps else self.cap
 
     @cached_property
     def beyond_units(self) -> FloatArray:
-        """Totals at which tails take over, in units, [layers, 1]."""
+        """Accumulated costs at which tails take over, in units, [layers, 1]."""
         if not self.base.by_steps:
             return self.cap + np.arange(self.base.width - 1.0)[:, None]
         return self.totals.beyond[:, None]
 
     def threshold(self, price: float) -> FloatArray:
-        """Return the total, in units, from which the last tail is no worse than the first, [nodes].
+        """Return the accumulated cost from which the last tail is no worse than the first, [nodes].
 
         The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
-        cost_k) + offset * goal_k. A total up to the cap is given as -infinity, so that equal rules
-        compare equal.
+        cost_k) + offset * goal_k. The result is in units; -infinity stands for any cost up to the
+        cap, so that tails chosen in the same way have equal thresholds.
 
         Args:
-            price: of failure.
+            price: price of failure.
         """
         charge, first, last = self.charge, self.tails.first, self.tails.values.row(-1)
         saved = charge.slope * (first.early - last.early)
@@ -419,18 +420,18 @@ class LayeredProcess(ChargedLayers):
         return np.where(total <= self.end, -np.inf, total)
 
     def measures_beyond(self, price: float) -> FloatArray:
-        """Return charge, failure and goal of the tails chosen at a price, [layers, nodes, 3]."""
+        """Return charge, failure and goal of the tail chosen at a price, [layers, nodes, 3]."""
         last = self.beyond_units >= self.threshold(price)[None, :]
         chosen, paid = self.tails.values.chosen(last), self.beyond_units * self.base.unit
         charged = self.charge.beyond(paid, chosen)
         return np.stack([charged, chosen.failure, chosen.goal], axis=-1)
 
     def beyond_value(self, price: float, failing: float) -> FloatArray:
-        """Return the value of the tails chosen at a price, [layers, nodes].
+        """Return the value of the tail chosen at a price of failure, [layers, nodes].
 
         Args:
-            price: kappa.
-            failing: weight of failure: kappa; or 0, and the goal has the weight -kappa.
+            price: price of failure, kappa.
+            failing: weight of failure, kappa or 0; the weight of the goal is failing - kappa.
         """
         charge, failure, goal = np.moveaxis(self.measures_beyond(price), -1, 0)
         return np.asarray(charge + failing * failure - (price - failing) * goal)
@@ -438,13 +439,13 @@ class LayeredProcess(ChargedLayers):
     def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
         """Return a lower bound of every policy's value beyond the cap, [layers, nodes].
 
-        Success is charged at least the charge of the present total: charge(r) * early + price * (1
-        - goal) with early = goal / gamma (mathematics, section 5: r + (kappa - r) F). The bound is
-        exact where failing is optimal and possible.
+        A run that succeeds after cost r is charged at least charge(r). The bound is therefore
+        charge(r) * early + price * (1 - goal), with early = goal / gamma (mathematics, section 5:
+        r + (kappa - r) F). It is exact where failing is optimal and possible.
 
         Args:
-            failure_price: kappa.
-            failing: weight of failure: kappa; or 0, and the goal has the weight -kappa.
+            failure_price: price of failure, kappa.
+            failing: weight of failure, kappa or 0; the weight of the goal is failing - kappa.
         """
         tails, totals = self.tails, self.totals.beyond[:, None]
         paid = self.charge.at(totals) / self.base.survival
@@ -465,7 +466,7 @@ class LayeredProcess(ChargedLayers):
         return np.asarray(rest + bound - rounding)
 
     def policy(self, choice: IntArray, tail_price: float) -> CostAwarePolicy:
-        """Return the cost-aware policy on the model of a choice.
+        """Return a choice of pairs as a cost-aware policy on the model.
 
         Args:
             choice: position among the pairs of its node, [cap, nodes].

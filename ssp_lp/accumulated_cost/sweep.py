@@ -1,13 +1,17 @@
 """Sweeps over the layers of an accumulated-cost process: backward for values, forward for mass.
 
-A backward sweep finds the optimal choice, evaluates a choice, or gives lower bounds of the values
-of every policy. A process is swept in one compiled pass in two cases: its layers have only some
-hundred nodes, so that the interpreter takes longer than the arithmetic; or every policy leaves a
-layer after a few free steps, so that equations take longer than Gauss-Seidel turns over the layer.
-If the free steps are acyclic, one turn is enough.
+A choice takes one pair in each node of each layer. A backward sweep finds the optimal choice,
+evaluates a choice, or computes lower bounds of the values of every policy. A process is swept in
+one compiled pass in two cases:
 
-A forward sweep sends on one number per node, only from nodes that the choice reaches. A backward
-sweep computes all rewards for every node of every layer.
+- Its layers have only some hundred nodes: one call of numpy for each layer would take longer than
+  the arithmetic.
+- It has steps of cost 0 (free steps), and every policy leaves a layer after a few of them:
+  Gauss-Seidel iterations over the layer are faster than solving equations. If the free steps have
+  no cycles, one iteration is enough.
+
+A forward sweep evaluates a choice at less work: it follows one number per node, the mass, and only
+nodes that the choice reaches. A backward sweep computes all rewards at every node of every layer.
 """
 
 from __future__ import annotations
@@ -54,18 +58,18 @@ from ssp_lp.model.graph import nearer_pairs
 _ONE, _NONE, _NO_LIMITS = np.ones(1), np.zeros(0), np.zeros((0, 0))
 
 _BELOW_EVERY_VALUE = 1e-6
-"""The floor is minus the price, less this relative margin for rounding."""
+"""Relative margin for rounding by which the lower bound of all values is lowered."""
 
 KEPT_VALUES = 4_000_000
-"""Most checked values that are kept, nodes x layers: 32 MB. Larger tables are replaced by infinite
-values of the same shape, which ask for the best bound: one more sweep."""
+"""Most checked values that are kept, nodes x layers: 32 MB. A larger table is replaced by infinite
+values, with which the bound is computed again by one more sweep when it is checked."""
 
 
 _MOST_CELLS = 8_000_000
 """Most nodes times layers ahead, four numbers each, of a compiled pass."""
 
 _MOST_ENTRIES = 30_000
-"""Entries of a layer without free steps from which one call for each layer costs little."""
+"""Entries of a layer without free steps from which the overhead of a call per layer is small."""
 
 _FEW_CELLS = 1_000_000
 """Most entries of all layers without free steps for one pass by numpy."""
@@ -73,7 +77,7 @@ _FEW_CELLS = 1_000_000
 _LEAST_BLOCK = 16  # layers of a block for a pass by blocks
 
 _MOST_WITHIN = 20.0
-"""Most expected steps within a layer, of any policy, for turns instead of equations."""
+"""Most expected steps of a policy within a layer for Gauss-Seidel instead of equations."""
 
 _TURNS_A_STEP = 40.0  # turns for each expected step within a layer: the error falls to e^-40
 
@@ -105,7 +109,7 @@ whether the pass is compiled."""
 
 
 class Priced(NamedTuple):
-    """The task of a sweep: costs of pairs and ends, and values beyond the cap."""
+    """Costs that a sweep minimises: of pairs and ends, and values beyond the cap."""
 
     owed: FloatArray  # [pairs] cost in addition to the charge, non-negative
     saved: FloatArray  # [pairs] earnings, non-negative
@@ -131,9 +135,9 @@ class PartOfSweep(NamedTuple):
 class Sweep:
     """The sweeps over the layers of one process, with shared data.
 
-    A choice is the position of a pair among the pairs of its node, [cap, nodes]. Its measures are
-    the expected charge and the expected totals of ``counted``; with free steps these must be only
-    failure and the goal.
+    A choice gives the position of a pair among the pairs of its node, [cap, nodes]. Its measures
+    are the expected charge and the expected totals of the rewards ``counted``. If there are free
+    steps, ``counted`` must consist of failure and the goal.
     """
 
     process: ChargedLayers
@@ -142,7 +146,7 @@ class Sweep:
 
     @classmethod
     def of_ends(cls, process: ChargedLayers) -> Sweep:
-        """Return the sweeps that count failure and the goal."""
+        """Return the sweeps whose counted rewards are failure and the goal."""
         base = process.base
         return cls(process, np.stack([base.failure, base.survival * base.gain], axis=1))
 
@@ -169,10 +173,10 @@ class Sweep:
         """Find the optimal choice; return its measures from the start, [1 + counted].
 
         Args:
-            priced: the weights, and the values beyond the cap.
+            priced: costs to minimise, and values beyond the cap.
             choice: written, [cap, nodes].
-            begun: written for episodes that begin in each layer: the value, and the measures if the
-                sweep has them, [cap, 1 + 1 + counted].
+            begun: written: value and, if computed, measures of an episode that begins in each
+                layer, [cap, 1 + 1 + counted].
 
         Raises:
             Stop: the time limit was reached; it carries the finished part of the sweep.
@@ -192,7 +196,7 @@ class Sweep:
         def best(
             layer: int, ahead: FloatArray, measured: FloatArray | None = None
         ) -> tuple[FloatArray, ...]:
-            """Write the optimal choice; return its values, and its measures if needed."""
+            """Write a layer's optimal choice; return its values, and its measures if needed."""
             nonlocal inner
             if self.is_acyclic:
                 pair_cost = cost(layer)[0]
@@ -249,9 +253,9 @@ class Sweep:
         """Return lower bounds of the values of all policies, rounded down, by a backward sweep.
 
         Args:
-            priced: weights, with lower bounds beyond the cap.
-            given: upper limits of the bounds, [cap, nodes]; infinite: no limit.
-            choice: if given, the minimising choice is written, [cap, nodes]; not with free steps.
+            priced: costs to minimise, and lower bounds of the values beyond the cap.
+            given: numbers that the bounds must not exceed, [cap, nodes]; infinite: no limit.
+            choice: written: the minimising choice, [cap, nodes]; None if there are free steps.
 
         Returns:
             The bound for an episode that begins in each layer, [cap]; and the values, [cap, nodes],
@@ -261,7 +265,7 @@ class Sweep:
         inner, floor = self._first_choice, priced.floor
 
         def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
-            """Return the lower bounds of a layer; free steps reuse the last layer's choice."""
+            """Return the lower bounds of a layer; with free steps, start from the last choice."""
             nonlocal inner
             most, is_free = given[layer], bool(np.isposinf(given[layer]).all())
             if not is_free:
@@ -342,7 +346,7 @@ class Sweep:
 
     @property
     def _begun_mass(self) -> _LayerMass:
-        """The start mass in the first layer, for a forward sweep."""
+        """The start mass, in the first layer, from which a forward sweep begins."""
         return _LayerMass(self.process.base, self.counted, self.process.totals)
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
@@ -366,12 +370,12 @@ class Sweep:
         """Sweep blocks of layers in the compiled pass, the last block first.
 
         Args:
-            compiled: the pass.
-            priced: the task.
+            compiled: input of the pass.
+            priced: costs to minimise.
             values: values beyond the cap, [layers beyond, nodes].
             measures: measures beyond the cap, [layers beyond, nodes, 1 + counted], or None.
             choice: written, or given if ``keeps``, [cap, nodes].
-            keeps: whether the choice is given; then the values have no effect.
+            keeps: whether to evaluate the given choice; the values then have no effect.
             limits: upper limits, [cap, nodes], to compute lower bounds, rounded down; None:
                 compute the least values.
 
@@ -425,7 +429,15 @@ class Sweep:
     def _pair_costs(
         self, priced: Priced, *, sizes: bool = False
     ) -> Callable[[int], tuple[PairCost, FloatArray, FloatArray]]:
-        """Return a function from a layer to pair costs, ``charge + owed - saved``, and sizes."""
+        """Return a function that computes a layer's pair costs, ``charge + owed - saved``.
+
+        With the costs it returns two sizes of each pair, which bound the rounding: the sum of the
+        terms' absolute values, and the greatest absolute value of a term.
+
+        Args:
+            priced: costs to minimise.
+            sizes: whether the sizes are needed; if not, they may be wrong.
+        """
         process, (owed, saved), weight = self.process, priced[:2], priced.charged
         alone = np.maximum(owed, saved)
         if process.grows_evenly:
@@ -436,7 +448,7 @@ class Sweep:
             return lambda layer: (replace(cost, factor=float(totals[layer])), *sizes_of)
 
         def summed(layer: int) -> tuple[PairCost, FloatArray, FloatArray]:
-            """Return the pair costs of a layer, with its own charges."""
+            """Return the pair costs and sizes of a layer that has its own charges."""
             fixed = weight * self.charged(layer).fixed
             size, most = (np.abs(fixed) + owed + saved, np.abs(fixed)) if sizes else (owed, owed)
             return PairCost(fixed + owed - saved), size, np.maximum(alone, most)
@@ -446,10 +458,11 @@ class Sweep:
     def _backward(
         self, step: Callable[..., tuple[FloatArray, ...]], *beyond: FloatArray
     ) -> Iterator[tuple[int, tuple[FloatArray, ...]]]:
-        """Sweep backward layer by layer, each from the values of the layers ahead.
+        """Sweep backward layer by layer.
 
         Args:
-            step: function of a layer and the numbers of the layers ahead, [layers * nodes, ...].
+            step: computes a layer's numbers from the layer and the numbers of the layers ahead,
+                [layers * nodes, ...].
             beyond: numbers beyond the cap, [layers beyond, nodes, ...] each.
 
         Yields:
@@ -499,7 +512,7 @@ class Sweep:
 
     @cached_property
     def is_acyclic(self) -> bool:
-        """Whether there are no free steps, so that no layer needs a solve."""
+        """Whether there are no free steps, so that no equations are solved within a layer."""
         return self.process.base.instant.nnz == 0
 
     @property
@@ -541,9 +554,9 @@ class Sweep:
 
     @cached_property
     def _whole_pass(self) -> tuple[_Layers, FloatArray] | None:
-        """Input of a backward sweep in one pass, without the tests of ``one_pass``.
+        """Input of a backward sweep in one pass, whether or not one pass is faster.
 
-        None: there are too many charges, or runs of free steps are too long.
+        None: there are too many charges, or policies may take too many free steps in a row.
         """
         process, base, cap = self.process, self.process.base, self.process.cap
         arriving = process.arriving
@@ -590,7 +603,7 @@ class Sweep:
 
     @cached_property
     def _first_choice(self) -> IntArray:
-        """A first choice, which leaves each layer with free steps, [nodes]."""
+        """Pairs with which every node leaves its layer, [nodes]."""
         base = self.process.base
         if self.is_acyclic:
             return self.first_pairs
@@ -602,13 +615,13 @@ def _sweep_plainly(
     layers: _Layers, weight: float, owed: FloatArray, saved: FloatArray, values: FloatArray,
     measured: FloatArray, position: IntArray, keeps: bool, _: FloatArray, given: FloatArray,
 ) -> None:  # fmt: skip
-    """Sweep backward over layers without free steps, in NumPy; see ``layers.sweep_layers``."""
+    """Sweep as ``layers.sweep_layers`` does, in numpy, over layers without free steps."""
     n, offsets, nodes = layers.offsets.size - 1, layers.offsets.astype(np.int64), layers.nodes
     width, number = (int(layers.leads.max(initial=0)) + 1) * n, np.arange(offsets[-1])
     begins, lengths, is_even = offsets[:-1], np.diff(offsets), len(layers.leads) == 1
 
     def columns(leads: IntArray) -> IntArray:
-        """Return the position of the value that each step leads to, [entries]."""
+        """Return the index, among the values ahead, to which each step leads, [entries]."""
         return (leads * n)[layers.classes].astype(np.int32) + nodes.view(np.int32)
 
     indptr, shape = layers.indptr.view(np.int32), (number.size, width)
@@ -648,14 +661,14 @@ def at_weights(
     *,
     bounds: bool = False,
 ) -> Priced:
-    """Return the task of a sweep at weights of the charge and the counted rewards.
+    """Return the costs to minimise for weights of the charge and the counted rewards.
 
     Args:
         sweep: the sweeps.
         weights: [1 + counted].
         beyond: values beyond the cap, or lower bounds, [layers beyond, nodes].
         measures: measures beyond the cap, [layers beyond, nodes, 1 + counted]; none for bounds.
-        bounds: round the pair costs down.
+        bounds: whether to round the pair costs down, for lower bounds.
     """
     owed, saved = np.zeros((2, len(sweep.counted)))
     for counted, weight in zip(sweep.counted.T, weights[1:].tolist(), strict=True):
@@ -667,12 +680,13 @@ def at_weights(
 
 
 def at_price(sweep: Sweep, price: float, failing: float, *, bounds: bool = False) -> Priced:
-    """Return the task of a sweep of failure and goal at a price of failure.
+    """Return the costs to minimise at a price of failure, for a sweep that counts both ends.
 
     The cost of a run is its charge plus ``failing`` if it fails, or plus ``failing - price`` if it
-    reaches the goal. With ``failing`` equal to the price this is ``charge + price * failure``; with
-    0 it is ``charge - price * goal``, which is exact if failure is likely. Beyond the cap are the
-    tails of that price or, for bounds, the lower bounds of every policy.
+    reaches the goal. With ``failing`` equal to the price this is ``charge + price * failure``. With
+    0 it is ``charge - price * goal``, which is exact even if failure is almost sure. The values
+    beyond the cap are those of the tails chosen at this price or, for bounds, lower bounds of every
+    policy's value.
     """
     process, earned, measures = cast("LayeredProcess", sweep.process), price - failing, _NONE
     weights = np.array([1.0, failing, -earned])
@@ -694,7 +708,7 @@ def at_price(sweep: Sweep, price: float, failing: float, *, bounds: bool = False
 
 
 def _at_least(values: FloatArray, floor: float) -> FloatArray:
-    """Return values raised to a floor, which also replaces nan."""
+    """Return values raised to at least a floor; nan becomes the floor."""
     return np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
 
 
@@ -702,20 +716,20 @@ _ALL_ENDS = 1e-9
 """Deviation of failure + goal from 1 above which a layer is evaluated with the exact method."""
 
 _ON_ITS_WAY = 0.01
-"""Share of the arrived mass that may still be waiting, for a guess."""
+"""Waiting mass, as a share of the arrived mass, at which the sweep of a guess ends."""
 
 _LAYERS_BETWEEN = 8  # layers between two checks of it
 
 _SLACK = 4  # a room holds this many windows, so that all is moved once in three windows
 
 _DROPPED = 1e-9
-"""A guess drops nodes with less mass."""
+"""Mass of a node below which the sweep of a guess ignores it."""
 
 
 def follow_rule(
     base: AccumulatedCost, rule: IntArray, most_layers: int
 ) -> tuple[float, float] | None:
-    """Return approximate (E[cost; goal], goal) of a stationary rule, by a forward sweep.
+    """Return approximate (E[cost; goal], Pr(goal)) of a stationary choice, by a forward sweep.
 
     Args:
         base: one layer of a process without free steps.
@@ -723,7 +737,7 @@ def follow_rule(
         most_layers: most layers of the sweep.
 
     Returns:
-        The pair; None if nothing arrives, or much mass is still waiting then.
+        Both numbers; None if no mass arrives, or if much mass still waits after the last layer.
     """
     counted = np.stack([base.failure, base.survival * base.gain], axis=1)
     mass, sums = _LayerMass(base, counted, base.totals(0)), np.zeros(3)
@@ -755,24 +769,24 @@ class _LayerMass:
 
     @property
     def here(self) -> FloatArray:
-        """The mass of the layer, [nodes]."""
+        """The mass of the current layer, [nodes]."""
         here: FloatArray = self._buffer[self._front]
         return here
 
     @property
     def left(self) -> FloatArray:
-        """The mass of the layer and of the layers after it, [layers, nodes]."""
+        """The mass of the current layer and of the layers after it, [layers, nodes]."""
         return self._buffer[self._front :]
 
     def follow(self, choice: IntArray, charge: PairCost) -> FloatArray:
-        """Send the mass of the layer on, and move to the next layer.
+        """Send the mass of the current layer on, and make the next layer the current one.
 
         Args:
             choice: position among the pairs of each node, [nodes].
             charge: charges of the pairs.
 
         Returns:
-            The charge and the counted rewards of this mass, [1 + counted].
+            The charge and the counted rewards that this mass collects, [1 + counted].
         """
         from ssp_lp.compiled.layers import follow_layer
 

@@ -5,9 +5,9 @@
 - Otherwise the totals are the sums of step costs that can occur, and a table gives the total to
   which each step leads.
 - If these sums are too many, the totals are a grid. A step that ends between two grid totals leads
-  to both, with shares that preserve its mean. At a price the value is concave in the cost paid (a
-  minimum of one affine function per policy), so that interpolation never exceeds it, and the
-  process on a grid gives a lower bound of case S (paper, section 3.1.1).
+  to both, with probabilities that preserve the mean. The process on a grid gives a lower bound of
+  case S (paper, section 3.1.1): at a price of failure the value is concave in the cost paid, as a
+  minimum of one affine function per policy, and interpolation never exceeds a concave function.
 
 A step beyond the cap leads to a separate total, at which a tail takes over.
 """
@@ -56,7 +56,7 @@ def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COS
 
 
 def last_layer(bound: float | Fraction, unit: Fraction) -> int:
-    """Return the last layer of a lattice within a finite bound; negative: there is none.
+    """Return the number of units in a finite bound, rounded down; negative for a negative bound.
 
     A float stands for its shortest decimal (three steps of 0.1 are within 0.3), or for the multiple
     of the unit to which it is nearest (2/3 for the unit 1/3).
@@ -70,17 +70,17 @@ def last_layer(bound: float | Fraction, unit: Fraction) -> int:
 
 
 def layers_within(total: float | Fraction, unit: Fraction) -> int:
-    """Return the number of layers of a lattice up to a total."""
+    """Return the number of layers, multiples of a unit, up to a total."""
     return max(last_layer(total, unit) + 1, 0)
 
 
 def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
-    """Return the totals of layers of a lattice, rounded once, in the shape of ``layers``."""
+    """Return totals given as numbers of units, each rounded once, in the shape of ``layers``."""
     return np.asarray(layers * float(unit.numerator) / float(unit.denominator))
 
 
 def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
-    """Return the unit of a lattice of totals: the greatest common divisor of the costs.
+    """Return the common unit of costs: their greatest common divisor.
 
     A float stands for a decimal (``exact_cost``), unless ``exact`` gives its fraction.
 
@@ -118,7 +118,7 @@ def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]
 
 @dataclass(frozen=True, eq=False)
 class StepClasses:
-    """The class of each step by its cost: its number of units, or the index of its cost."""
+    """Classes of steps: the number of units in a step's cost, or the index of this cost."""
 
     unit: Fraction
     ahead: IntArray  # [outcomes] class of each counted outcome; 0 for others
@@ -129,7 +129,9 @@ class StepClasses:
     def of(
         cls, model: SSP, counted: BoolArray, unit: Fraction, costs: FloatArray, classes: IntArray
     ) -> StepClasses:
-        """Return the class of each outcome by its cost; 0 if it leads into no counted state.
+        """Return the class of each outcome by its cost.
+
+        Impossible outcomes, and outcomes into states that are not counted, have class 0.
 
         Args:
             model: the model.
@@ -150,7 +152,7 @@ class StepClasses:
 
 
 def _is_counted(model: SSP, counted: BoolArray, some: slice) -> BoolArray:
-    """Return whether each of some outcomes is possible and leads to a counted state, [some]."""
+    """Return whether each outcome of a range is possible and leads to a counted state, [some]."""
     return np.asarray(counted[model.successors[some]] & (model.probabilities[some] > 0))
 
 
@@ -193,8 +195,8 @@ _UNKNOWN, _BEYOND = -2, -1  # codes instead of the number of a total
 _MOST_ROUNDS = 1_000
 
 _SAME = 1e-11
-"""Relative distance, to the cap, of sums that are equal up to rounding; limited by a share of the
-cheapest step."""
+"""Distance, relative to the cap, up to which two sums count as equal; it is at most ``_SHARE`` of
+the cheapest step."""
 
 _SHARE = 1e-3  # of the cheapest step
 
@@ -212,7 +214,7 @@ def last_steps(model: SSP) -> tuple[StepClasses, FloatArray]:
 
 
 def _numbered_costs(model: SSP, counted: BoolArray) -> tuple[StepClasses, FloatArray]:
-    """Return the classes and distinct costs of the steps into states; class 0 is cost 0."""
+    """Return the classes and distinct costs of the steps into counted states; class 0: cost 0."""
     costs = _costs_into(model, counted)
     steps = np.union1d(0.0, costs)
     number = np.searchsorted(steps, costs)
@@ -220,7 +222,7 @@ def _numbered_costs(model: SSP, counted: BoolArray) -> tuple[StepClasses, FloatA
 
 
 def room_of(steps: FloatArray, cap: float) -> float:
-    """Return the difference up to which two sums of steps are the same total.
+    """Return the difference up to which two sums of step costs count as one total.
 
     Args:
         steps: distinct costs of a step, the first of which is 0, [steps].
@@ -231,7 +233,7 @@ def room_of(steps: FloatArray, cap: float) -> float:
 
 
 def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """Return the sums of steps below a cap, increasing; None: more than ``most``."""
+    """Return the sums of step costs below a cap, increasing; None: more than ``most``."""
     moves, sums, room = steps[1:], np.zeros(1), room_of(steps, cap)
     if moves.size and cap > (most + 1) * float(moves[0]):
         return None  # the multiples of the cheapest step are too many
@@ -253,7 +255,8 @@ def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
 def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
     """Return the totals below a cap that can occur in a model, increasing; None: too many.
 
-    These are all sums of steps, if they are few; otherwise the sums along walks through the model.
+    All sums of step costs are returned if they are few, otherwise the sums along walks through the
+    model.
     """
     steps = step_costs(model)[1]
     sums = sums_of(steps, cap, most)
@@ -331,9 +334,12 @@ _ULPS = 1e-15  # relative rounding error of one sum
 class Totals:
     """The totals of the layers in increasing order; the last one is the cap.
 
-    A step from below the cap leads to its exact total; totals beyond the cap have layers of their
-    own (``beyond``), at which tails take over. ``leads`` instead makes the last layer stand for all
-    totals beyond it, and rounds on a grid.
+    Two tables say where a step from a total below the cap leads:
+
+    - ``reached``: to its exact total. Totals beyond the cap are layers as well (``beyond``), at
+      which tails take over.
+    - ``leads``: to at most the last layer, which stands for all totals from the cap on. On a grid
+      the step is rounded down, and has a share for the next total.
     """
 
     values: FloatArray  # [totals] the first is 0
@@ -363,10 +369,11 @@ class Totals:
 
     @cached_property
     def leads(self) -> tuple[IntArray, FloatArray]:
-        """The total to which each step leads from each total, at most the last one.
+        """The layer to which each step leads from each total, at most the last layer.
 
         Returns:
-            The total below, and the share of the next one, [totals, steps] each.
+            The layer of the greatest total up to the exact sum, and the share of mass that goes to
+            the next layer to preserve the mean, [totals, steps] each.
         """
         if self.unit is not None:
             return self.leads_by(np.arange(len(self.steps)))
@@ -389,15 +396,15 @@ class Totals:
 
     @property
     def _room(self) -> float:
-        """Difference up to which two sums are the same total."""
+        """Difference up to which two sums count as one total."""
         return room_of(self.steps, float(self.values[-1]))
 
     @cached_property
     def beyond(self) -> FloatArray:
-        """The totals from the cap on that a step from below it reaches, increasing, [beyond].
+        """The totals from the cap on that steps from below the cap reach, increasing, [beyond].
 
-        If all sums below the cap are totals, larger ones count, too: no run takes such steps, but
-        every layer has all pairs.
+        If ``complete``, all sums above the last total below the cap are included, even if they are
+        below the cap: no run reaches them, but every layer has all pairs.
         """
         if self.unit is not None:
             return totals_of(self.size + np.arange(len(self.steps) - 1), self.unit)
@@ -413,7 +420,7 @@ class Totals:
 
     @property
     def reached(self) -> IntArray:
-        """Number of the total that each step reaches, totals beyond the cap included.
+        """Index, in ``with_beyond``, of the total that each step reaches.
 
         [totals below the cap, steps].
         """
@@ -428,10 +435,10 @@ class Totals:
 
     @cached_property
     def ahead(self) -> IntArray | None:
-        """Number of layers from the next total to the total that a step leads to.
+        """Number of layers that each step passes from each total, less 1.
 
-        [totals below the cap, steps - 1]; None for multiples of a unit, where it follows from the
-        class.
+        [totals below the cap, steps - 1]; None for multiples of a unit, where the class of the step
+        is the number of layers.
         """
         if self.unit is not None:
             return None
@@ -439,7 +446,7 @@ class Totals:
 
     @cached_property
     def span(self) -> int:
-        """Number of layers ahead that a sweep must hold: up to the farthest a step leads to."""
+        """Number of layers ahead that a sweep holds: as many as the farthest step passes."""
         farthest = -1 if self.ahead is None else int(self.ahead.max(initial=-1))
         return max(len(self.beyond), farthest + 1)
 
@@ -461,7 +468,7 @@ _NEARBY = 1.1  # least factor by which a cap is raised
 
 @dataclass(frozen=True)
 class Resolution:
-    """The choice of layers that are not multiples of a unit: cap, and sums or a grid."""
+    """A choice of totals that are not multiples of a unit: the cap, and sums of costs or a grid."""
 
     cap: float | None = None  # the last total; None: a first guess
     grid: int = FIRST_TOTALS  # totals of a grid, if there are too many sums
@@ -474,7 +481,7 @@ class Resolution:
 
         Args:
             model: the model.
-            first: the cap of a first attempt.
+            first: the cap if the resolution has none.
             room: most totals that fit into memory.
             grows: whether the charge still grows at the cap.
         """
@@ -496,11 +503,13 @@ class Resolution:
         return Totals(read_only(np.linspace(0.0, cap, size + 1)), steps)
 
     def up_to(self, total: float) -> Resolution:
-        """Return the resolution with a cap at a total from which failing is optimal."""
+        """Return the resolution; without a cap, cap it above a total where failing is optimal."""
         return replace(self, cap=CAP_MARGIN * total) if self.cap is None and total > 0.0 else self
 
     def finer(self, totals: Totals, enough: float | None, most: int) -> Resolution | None:
-        """Return a resolution with a higher cap or a finer grid; None: no room, or no gain.
+        """Return a resolution with a higher cap or a finer grid.
+
+        None: no more totals fit into memory, or more totals would not help.
 
         Args:
             totals: the present totals.
@@ -531,7 +540,7 @@ def resolution_for(
 
     Args:
         model: the model.
-        most: the user's number of levels, or None.
+        most: the user's number of totals, or None.
         cap: the user's cap, or None.
         of_law: whether the cost of the last step into the goal matters as well.
     """
@@ -554,7 +563,7 @@ def resolution_of_law(model: SSP) -> Resolution | None:
 
 
 def _resolution(model: SSP, steps: FloatArray) -> Resolution | None:
-    """Return how totals of some step costs form layers; None: they are multiples of a unit."""
+    """Return the resolution for given step costs; None: multiples of their unit are enough."""
     if uniform_cost(model) is not None:
         return None
     ahead, per_step = _STEPS_AHEAD * float(steps[-1]), 0

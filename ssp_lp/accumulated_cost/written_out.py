@@ -1,11 +1,13 @@
 """The accumulated-cost process as an explicit process, for methods that need one.
 
-:func:`materialise` ends with the tails of a layered process. :class:`OpenEnded` has one last layer
-for all costs beyond the cap, with free choice of the policy. An arrival from it is charged as if
-the cap had just been reached, and each step there costs its least cost to runs that succeed. These
-charges are too low, so the optimum is a lower bound. All other numbers (failure, visits, secondary
-costs, ends) are exact. Every policy of this process is a policy of the model, so its true objective
-is an upper bound. Both bounds meet as the cap grows (paper, section 3.5, with a free tail).
+:func:`materialise` writes out a layered process: beyond the cap a policy follows one of its tails.
+
+:class:`OpenEnded` has one last layer for all costs beyond the cap, in which the policy is free. A
+run that reaches the goal from there is charged as if the cap had just been reached, plus the least
+cost of its steps in the last layer. This is too little, so that the optimum is a lower bound. All
+other numbers (failure, visits, secondary costs, ends) are exact. Every policy of this process is a
+policy of the model, so that its true objective is an upper bound. Both bounds meet as the cap grows
+(paper, section 3.5, with a free tail).
 """
 
 from __future__ import annotations
@@ -33,8 +35,8 @@ from ssp_lp.processes.live_rows import cost_means
 def materialise(process: LayeredProcess) -> ExplicitProcess:
     """Write out all layers of a layered process: state = layer * nodes + node.
 
-    Then come the layers beyond the cap that a step can reach, with one pair for each tail policy,
-    so that the choice of the tail is free at each node, and last the source state.
+    The layers that a step can reach beyond the cap follow. There each node has one pair for each
+    tail, which ends the run with the tail's totals. The last state is the source, where runs start.
 
     Args:
         process: the layered process.
@@ -74,7 +76,7 @@ def _entered_process(
 
     Args:
         base: one layer.
-        steps: transitions of all pairs except the source's, in order, [some pairs, states] each.
+        steps: transitions of all pairs but that of the source, in order, [some pairs, states] each.
         n_pairs: number of pairs of each state except the source, [states - 1].
         rewards: cost, failure and goal, [pairs + 1] each.
     """
@@ -119,8 +121,8 @@ def steps_of_layers(
 
     Args:
         base: one layer.
-        leads: classes of steps -> the layer to which each leads, and the share that goes to the
-            next layer, [layers, classes] each; None: no share.
+        leads: function from classes of steps to the layer to which each leads, and to the share of
+            mass that goes to the layer after it, [layers, classes] each; None: no share.
         n_states: number of states of the process.
     """
     steps, n = base.steps, base.n_nodes
@@ -175,7 +177,11 @@ class OpenEnded(ChargedLayers):
 
     @cached_property
     def process(self) -> ExplicitProcess:
-        """The explicit process; ModelError: it has too many pairs."""
+        """The explicit process.
+
+        Raises:
+            ModelError: it would have too many pairs.
+        """
         check_room(self.base, self.cap, MOST_WRITTEN)
         base, copies = self.base, self.cap + 1
         steps = steps_of_layers(base, self.leads, copies * self.base.n_nodes + 1)
@@ -191,7 +197,8 @@ class OpenEnded(ChargedLayers):
     def reachable_part(self) -> ReachablePart:
         """Return the part of the process that runs can reach.
 
-        The source is left out if no start mass lies on goals and dead-ends.
+        The source state is needed only for runs that start in goals or dead-ends, and is otherwise
+        left out.
         """
         process, base = self.process, self.base
         start = process.start
@@ -200,16 +207,16 @@ class OpenEnded(ChargedLayers):
         return reachable_part(process, start)
 
     def everywhere(self, per_pair: FloatArray, at_source: float) -> FloatArray:
-        """Repeat numbers per pair for all layers, and append the source's, [process pairs].
+        """Repeat a layer's numbers for all layers, and append one for the source, [process pairs].
 
         Args:
-            per_pair: [pairs of a layer].
-            at_source: number of the source's pair.
+            per_pair: a number for each pair of a layer, [pairs].
+            at_source: the number for the source's pair.
         """
         return np.append(np.tile(per_pair, self.cap + 1), at_source)
 
     def counting(self, semantics: FailureSemantics) -> Counting:
-        """Return the counting of quantities other than the total, at the pairs of a layer."""
+        """Return an object that counts quantities other than the total at a layer's pairs."""
         base = self.base
         goal = base.survival * base.gain
         return Counting(
@@ -217,7 +224,7 @@ class OpenEnded(ChargedLayers):
         )
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """Return the cost-aware policy of a choice; its tail is the choice in the last layer.
+        """Return a choice as a cost-aware policy; the choice in the last layer is its tail.
 
         Args:
             choice: pair of each state of the process, [process states].
@@ -232,17 +239,17 @@ class OpenEnded(ChargedLayers):
         return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """Return None, since pairs nearer the goal must be found on the explicit process."""
+        """Return None: pairs that lead nearer to the goal are found on the explicit process."""
         return
 
     @cached_property
     def own_cost(self) -> FloatArray:
-        """Charges at the goal, [process pairs]."""
+        """Expected charge of each pair's step into the goal, [process pairs]."""
         each = [self.own_cost_from(layer) for layer in backward(self.cap + 1)][::-1]
         return np.append(np.concatenate(each), self.start_charge)
 
     def own_cost_from(self, layer: int) -> FloatArray:
-        """Return the charges at the goal from a layer, [pairs]."""
+        """Return the expected charge of each pair's step into the goal from a layer, [pairs]."""
         charged = self.charged(layer).total
         if layer < self.cap or self.charge.slope == 0.0:
             return charged
@@ -255,10 +262,9 @@ class OpenEnded(ChargedLayers):
 
     @cached_property
     def _step_beyond(self) -> FloatArray:
-        """Least cost of a step beyond the cap to runs that succeed, [pairs].
+        """Lower bound of E[cost of a step; success after it] beyond the cap, [pairs].
 
-        Costs count only in runs that succeed, and every policy succeeds at least with
-        ``least_goal``.
+        Whatever the policy, success after the step has at least the probability ``least_goal``.
         """
         if self.least_goal is None:
             return np.zeros(len(self.base.gain))
@@ -272,7 +278,7 @@ class OpenEnded(ChargedLayers):
         return states
 
     def step_cost(self, goal: FloatArray) -> FloatArray:
-        """Return the cost of a step to runs that succeed after it, [pairs].
+        """Return E[cost of a step; success after it], [pairs].
 
         Args:
             goal: goal probability from each state, [states].
@@ -282,7 +288,7 @@ class OpenEnded(ChargedLayers):
 
     @cached_property
     def shift_of_ends(self) -> tuple[FloatArray, float]:
-        """The shift, charged where an episode ends, [pairs], and at the source."""
+        """``shift`` times the probability that an episode ends: by pair, [pairs], and at once."""
         base = self.base
         ends = base.survival * base.gain + base.failure
         return self.shift * ends, self.shift * (base.start_goal + base.start_failure)
@@ -308,8 +314,9 @@ class OpenEnded(ChargedLayers):
     def leads(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the layer that steps lead to, and the share of the next one, [layers, kinds].
 
-        On a grid a step is rounded down, which never raises a charge. If interpolation never raises
-        it either, the step leads to both neighbours of its total.
+        On a grid a step is rounded down, which never raises a charge. If the charge is concave, the
+        step is split between both neighbours of its total instead: interpolation does not raise the
+        charge either.
         """
         below, share = self.totals.leads_by(kinds)
         return below, share if self.charge.is_concave else np.zeros_like(share)
@@ -324,7 +331,7 @@ class LastLayer:
 
     @property
     def own_cost(self) -> FloatArray:
-        """Charges at the goal, [pairs]."""
+        """Expected charge of each pair's step into the goal, [pairs]."""
         return self.layered.own_cost_from(self.layered.cap)
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
@@ -336,12 +343,12 @@ class LastLayer:
         return self.layered.policy(np.tile(choice, self.layered.cap + 1))
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """Return None: these pairs must be found on the process itself."""
+        """Return None: pairs that lead nearer to the goal are found on the process itself."""
         return
 
 
 def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
-    """Raise :class:`ModelError` if explicit layers have too many pairs."""
+    """Raise :class:`ModelError` if written out layers have more than ``most`` pairs."""
     n_pairs = (layers + 1) * len(base.gain)
     if n_pairs > most:
         raise ModelError(
@@ -351,13 +358,13 @@ def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
 
 
 def first_cap(base: AccumulatedCost, charge: Charge, typical: float, fixed: float | None) -> int:
-    """Return a first cap: the layers until the charge settles, and some more if it grows.
+    """Return a first cap in layers: where the charge is affine, or later if it then still grows.
 
     Args:
         base: one layer of the process.
         charge: the charge.
-        typical: a cost given success of a typical policy.
-        fixed: the user's cap on accumulated cost.
+        typical: cost given success of a typical policy.
+        fixed: the user's cap on accumulated cost, or None.
     """
     if fixed is not None:
         return max(int(np.ceil(fixed / base.unit)), 1)
@@ -370,7 +377,7 @@ def first_cap(base: AccumulatedCost, charge: Charge, typical: float, fixed: floa
 
 
 def first_total(charge: Charge, typical: float) -> float:
-    """Return a first cap as a total, if layers are not multiples of a unit."""
+    """Return a first cap as an accumulated cost, for layers that are not multiples of a unit."""
     settled = _settled_open_end(charge)
     if settled is not None and charge.slope == 0.0:
         return settled * (1.0 + BEYOND)
@@ -378,7 +385,7 @@ def first_total(charge: Charge, typical: float) -> float:
 
 
 def truncates(charge: Charge, total: float) -> bool:
-    """Return whether the last layer is inexact: the charge may change beyond the cap."""
+    """Return whether a cap at a total is inexact, since the charge may grow beyond it."""
     if charge.slope > 0.0 or charge.settled is None:
         return True
     return total <= charge.settled or not charge.is_affine_beyond(total)

@@ -64,12 +64,12 @@ class Evaluation(Facts):
 
     @property
     def limited_goal(self) -> float:
-        """Goal probability of the evaluated policy, in the sense of ``limited_failure``."""
+        """Goal probability, discounted if ``limited_failure`` is."""
         return self.goal_probability if self.discounted_goal is None else self.discounted_goal
 
     @property
     def limited_failure(self) -> float:
-        """Failure of the evaluated policy that a budget limits, discounted if the problem is."""
+        """Failure that a budget limits: the discounted one if the problem has a discount."""
         surrogate = self.discounted_failure
         return self.failure_probability if surrogate is None else surrogate
 
@@ -143,9 +143,10 @@ def evaluate(
 def evaluate_each(
     policy: Policy | MixedPolicy, problem: Problem = NEEDED
 ) -> tuple[Evaluation, list[Evaluation]]:
-    """Return the evaluation of a policy, and the evaluation of each member of the lottery.
+    """Return the evaluation of a lottery, and the evaluation of each of its members.
 
-    If the problem has a measure of the law, the members' objectives are their costs.
+    If the objective is a measure of the law of costs (a quantile, say), only the lottery's
+    evaluation has it; the members' objectives are then their costs.
 
     Raises:
         ModelError: as in :func:`evaluate`.
@@ -199,10 +200,10 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
 
 
 def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
-    """Return the cost law of a problem's measure, with costs as the policy's members count them.
+    """Return the law of costs from which a problem's measure is computed.
 
-    Members may round costs up. For a measure with values among the totals, the law is the law of
-    the true costs if it can be computed quickly.
+    Costs are rounded up where the lottery's members round them up. Exception: if the measure is
+    itself a total cost, the law is that of the true costs, if it can be computed quickly.
     """
     return _measured_law(*_law_chains(policy, problem, soon=True), problem.semantics)
 
@@ -210,9 +211,10 @@ def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
 def _law_chains(
     lottery: MixedPolicy, problem: Problem, *, soon: bool = False
 ) -> tuple[list[tuple[Chain, Chain]], FloatArray]:
-    """Return chains of a lottery's members with their cost laws, and the members' weights > 0.
+    """Return two chains with the cost law of each member, and the weights of the members.
 
-    The first chain of each has true costs, the second costs as the member counts them.
+    The first chain has true costs, the second has costs as the member rounds them. Members of
+    weight 0 are left out.
     """
     model, start = problem.model, problem.start_mass
     used = lottery.weights > 0.0
@@ -233,8 +235,9 @@ def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) ->
     """Return the cost law of a lottery from its members' chains.
 
     Args:
-        chains: of the members, with true costs and with costs as the members count them.
-        weights: of the members, > 0, [members].
+        chains: for each member a chain with true costs and one with costs as the member rounds
+            them.
+        weights: weights of the members, above 0, [members].
     """
     paid, counted = zip(*chains, strict=True)
     rounds = any(own is not other for own, other in zip(paid, counted, strict=True))
@@ -242,7 +245,7 @@ def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) ->
 
 
 class _Measures(NamedTuple):
-    """Measures of a policy that are linear in the start lottery."""
+    """Measures of a policy; those of a lottery are the means over its members."""
 
     totals: FloatArray  # [discounts, 4] goal, failure, cost of success, cost until failure
     ends: FloatArray  # [ways] in the order of ``end_marks``, then wandering
@@ -251,7 +254,7 @@ class _Measures(NamedTuple):
 
 
 def _mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
-    """Return the mean of measures over a lottery; an infinite cost of weight 0 does not count."""
+    """Return the mean of measures over a lottery; members of weight 0 do not count."""
     used = np.flatnonzero(weights > 0.0)
     columns = zip(*(parts[k] for k in used), strict=True)
     return _Measures(*(np.tensordot(weights[used], np.stack(c), axes=1) for c in columns))
@@ -290,7 +293,13 @@ def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
 
 
 def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> _Measures:
-    """Return the measures of a policy from its chain."""
+    """Return the measures of a policy from its chain.
+
+    Args:
+        chain: chain of the policy.
+        problem: problem with the semantics and the limits.
+        declared: whether the policy declares failing itself (see ``counted_nodes``).
+    """
     mass = np.zeros((chain.n_nodes, 3 * len(_survivals(problem))))
     mass[:, ::3] = chain.start[:, None]
     counted = counted_nodes(chain, problem, declared=declared)
@@ -306,7 +315,12 @@ def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False
 
 
 def _measures_of(totals: FloatArray, ends: FloatArray) -> _Measures:
-    """Return measures from the totals, [discounts, 4], and the probabilities of ends, [ways]."""
+    """Return measures from their totals and the probabilities of ends.
+
+    Args:
+        totals: goal, failure, cost of success and cost until failure, [discounts, 4].
+        ends: probability of each end except wandering, in the order of ``end_marks``, [ways].
+    """
     for row in totals:  # goal and failure within [0, 1]; either is 0 if the other is sure
         goal, failure = row[[_GOAL, _FAILED]]
         row[_GOAL] = 1.0 if failure == 0.0 else min(goal, 1.0)
@@ -332,8 +346,8 @@ def _chain_totals(
         chain: the chain.
         counted: nodes at which failure has not been declared, [nodes].
         problem: problem with the semantics.
-        mass: entering mass, mass times the cost paid before, and failed mass, for each discount,
-            [nodes, 3 * discounts].
+        mass: for each discount the mass that enters, this mass times the cost paid before, and
+            mass that enters after failing, [nodes, 3 * discounts].
 
     Raises:
         ModelError: the policy gives up where the problem forbids it.
@@ -366,7 +380,7 @@ def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
 
 
 _ROUNDING = 64 * MACHINE_EPSILON
-"""Greatest wandering that is rounding, as 1 minus the sum of the other ends."""
+"""Probability of wandering, 1 minus that of all other ends, that counts as rounding."""
 
 _MOST_NODES = 100_000  # of a chain in which the first place of giving up is sought
 _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"}
@@ -378,17 +392,17 @@ def cost_in_words(cost: float) -> str:
 
 
 def failing_in_words(ends: Mapping[str, float]) -> str:
-    """Return the probabilities of the ways to fail in a line: "crash 0.03, gave up 0.02"."""
+    """Return a line with the probability of each way to fail: "crash 0.03, gave up 0.02"."""
     least = {"goal": np.inf, "wandering": _ROUNDING}
     ways = ((name, share) for name, share in ends.items() if share > least.get(name, 0.0))
     return ", ".join(f"{_WORDS.get(name, name)} {share:.6g}" for name, share in ways)
 
 
 def giving_up_in_words(policy: MixedPolicy, problem: Problem, share: float) -> str:
-    """Return the states in which a policy gives up first, and how often before any step.
+    """Return a phrase that says where a policy gives up: before the first step, or a state.
 
     Args:
-        policy: of the problem.
+        policy: policy on the problem's model.
         problem: problem with the start.
         share: probability of giving up.
     """
@@ -415,8 +429,8 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
     """Return the policy's expected visits of each pair, and probability of giving up per state.
 
     Returns:
-        [pairs] and [states] of the problem's model, summed over the policy's memory and, within a
-        horizon, over time.
+        Both on the problem's model, [pairs] and [states], summed over the policy's memory and,
+        within a horizon, over time.
 
     Raises:
         ModelError: the policy is for another model, or may wander for ever.
@@ -438,14 +452,15 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
 
 
 def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> StochasticPolicy:
-    """Return the stationary randomised policy with the evaluated lottery's expected visits.
+    """Return the stationary randomised policy with the expected visits of a lottery.
 
-    Paper, section 2.2: in each augmented state the action is drawn with its share in the lottery's
-    expected visits. Under a discount, visits are discounted, which preserves the discounted cost
-    and failure: a stationary policy cannot preserve both these and the undiscounted ones. The
-    augmented state has the memories of all members: accumulated cost, time, or both if they differ.
-    If time is remembered (section 3.4), every visit of a situation has one time, and the
-    distribution over situations is the lottery's at each time, not only in total.
+    In each augmented state the policy draws an action with the action's share of the lottery's
+    expected visits (paper, section 2.2). The augmented state consists of the state and the memories
+    of all members: accumulated cost, time, or both. If time is remembered (section 3.4), the policy
+    has the lottery's distribution over augmented states at each time, not only in total.
+
+    Under a discount, visits are discounted, which preserves the discounted cost and failure. A
+    stationary policy cannot preserve the undiscounted ones as well.
 
     Raises:
         ModelError: a member may wander for ever, or is of a class with unknown memory.
@@ -469,17 +484,17 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
 def layered_measures(
     policy: Policy, problem: Problem, start: FloatArray, least_nodes: int = LARGE
 ) -> _Measures | None:
-    """Return the measures of a layered policy, or None if its chain must be built.
+    """Return the measures of a layered policy without its chain; None if the chain is needed.
 
-    The chain is built if it is small, if the policy remembers more than its cost, or if quantities
-    other than the cost are requested. It is also built if a decision is missing or not allowed: the
-    chain's error names the decision.
+    The chain is used if it is small, if the policy remembers more than its cost, or if the problem
+    counts quantities other than the cost. It is also used if a decision is missing or not allowed:
+    its error names the decision.
 
     Args:
-        policy: on the problem's model.
+        policy: policy on the problem's model.
         problem: problem with the semantics and the discount.
         start: distribution over states, [states].
-        least_nodes: states times layers above which the chain of a policy is not built.
+        least_nodes: states times layers above which the chain is not used.
     """
     model, layers = problem.model, policy.layers()
     if layers is None or problem.conditions or problem.objective_condition is not None:
@@ -548,10 +563,10 @@ def _layer_totals(
         problem: problem with the semantics and the discount.
         stage: mean cost of a step, [pairs].
         stopping: cost of failing, [states].
-        here: states, [k].
-        pairs: their pairs, [k].
-        hopes: whether the goal can be reached, [k].
-        visits: as in ``LayerMoves.follow``, [k, 3 * discounts].
+        here: the states with mass in the layer, [k].
+        pairs: pairs taken in these states, [k].
+        hopes: whether the goal can be reached from these states, [k].
+        visits: expected visits, with the columns of ``LayerMoves.follow``, [k, 3 * discounts].
     """
     at_goal, moving, rows = problem.model.goal_mask[here], pairs >= 0, list[list[float]]()
     cost = np.where(moving, stage[np.maximum(pairs, 0)], stopping[here])
@@ -570,7 +585,15 @@ def _layer_totals(
 def _give_up_costs(
     chain: Chain, semantics: FailureSemantics, free: BoolArray | None = None
 ) -> FloatArray:
-    """Return the cost of giving up at each node of a policy's chain, 0 if not allowed, [nodes]."""
+    """Return the cost of giving up at each node of a chain, [nodes].
+
+    It is 0 at nodes where the policy does not give up, and infinite where giving up is forbidden.
+
+    Args:
+        chain: chain of the policy.
+        semantics: where giving up is allowed and whether it is charged.
+        free: pairs by which a policy may stay, [pairs]; None: pairs of cost 0.
+    """
     if not chain.give_up.any():
         return np.zeros(len(chain.give_up))
     charge = state_give_up_charges(chain.model, semantics, free)[chain.state]
@@ -580,7 +603,8 @@ def _give_up_costs(
 def _check_giving_up(chain: Chain, problem: Problem) -> None:
     """Check that a policy gives up only where the problem allows it.
 
-    Giving up is allowed among pairs that are free in all quantities of the problem.
+    Giving up is also allowed where a policy may stay for ever by pairs that add nothing to the
+    objective and the limits.
 
     Raises:
         ModelError: the policy gives up elsewhere.
@@ -593,7 +617,7 @@ def _check_giving_up(chain: Chain, problem: Problem) -> None:
     if forbidden.any():
         state = chain.model.states[int(chain.state[int(np.argmax(forbidden))])]
         raise ModelError(
-            f"the policy gives up in state {state!r}, but give_up={str(semantics.give_up)!r}"
+            f"the policy gives up in state {state!r}: give_up={str(semantics.give_up)!r} forbids it"
         )
 
 
@@ -604,15 +628,18 @@ def _lost_costs(
     survival: float,
     free: BoolArray | None = None,
 ) -> FloatArray:
-    """Return the expected cost from nodes of a policy's chain that cannot reach the goal, [nodes].
+    """Return the expected cost from each node of a chain that cannot reach the goal, [nodes].
 
-    Failure is declared there at once, and charged according to the semantics; with ``DEAD_ENDS``
-    stage costs are paid until a dead-end is entered, infinite if none ever is.
+    At such a node failure is declared at once, and charged according to the semantics. With
+    ``DEAD_ENDS``, stage costs are paid until a dead-end is entered instead. They are infinite if a
+    run may pay for ever.
 
     Args:
+        chain: chain of the policy.
         hopeful: nodes from which the goal is reached with positive probability, [nodes].
-        survival: discount of costs to come, 1 for none.
-        free: see ``state_give_up_charges``.
+        semantics: where giving up is allowed and whether failing is charged.
+        survival: discount of costs to come; 1: no discount.
+        free: pairs by which a policy may stay, [pairs]; None: pairs of cost 0.
     """
     entering = entering_charges(chain.model, semantics)[chain.state]
     lost = ~hopeful & (chain.dead == 0)
@@ -659,13 +686,13 @@ def entering_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:
 
 
 def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> BoolArray:
-    """Return the nodes of a policy's chain at which failing is not declared, [nodes].
+    """Return a mask of a chain's nodes at which failing has not been declared, [nodes].
 
-    These are the nodes from which the goal can be reached. If a constraint needs another end, a
-    policy on its way to this end has not failed until it arrives or gives up.
-
-    On states with the failure label the policy itself may declare failing. Any other policy
-    declares it as soon as it has lost the goal, by steps that surely avoid the goal.
+    - In general these are the nodes from which the goal can be reached.
+    - If a constraint or the objective counts ends other than the goal, a run has not failed until
+      it ends or gives up.
+    - If the model's states have a failure label, the policy may declare failing itself. Otherwise
+      failing is declared as soon as the policy can no longer reach the goal.
 
     Args:
         chain: chain of the policy.
@@ -684,11 +711,11 @@ def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> 
 
 
 def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, IntArray], BoolArray]:
-    """Return a predicate on (state, memory) that is true where a policy has failed.
+    """Return a function that says whether a policy has failed in a state with a memory.
 
     Returns:
-        A function of states and memories, [situations] each; False for a situation that no run of
-        the policy reaches.
+        A function from states and memories, [k] each, to a mask, [k]. It is False for a state and
+        memory that no run of the policy reaches.
     """
     model = problem.model
     if model.failure_label is None and policy.layers() is not None and not _asks_for_ends(problem):
@@ -702,7 +729,7 @@ def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, Int
 
 
 def _asks_for_ends(problem: Problem) -> bool:
-    """Return whether a constraint or the objective counts an end that is not the goal."""
+    """Return whether a constraint or the objective counts ends other than the goal."""
     return any(condition.wants_ends for condition in _asked_quantities(problem))
 
 
@@ -713,7 +740,7 @@ def _asked_quantities(problem: Problem) -> tuple[Condition, ...]:
 
 
 def _cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
-    """Return the expected cost from failing until the end, [1]; [0] if failing ends runs.
+    """Return a list of the expected cost from failing until the end; empty if failing ends runs.
 
     Args:
         chain: chain of the policy.
@@ -728,7 +755,14 @@ def _cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
 
 
 def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Term) -> float:
-    """Return the value of a quantity's term on a policy's chain: cost, visits, or probability."""
+    """Return the value of one term of a quantity for a policy: a cost, visits or a probability.
+
+    Args:
+        chain: chain of the policy.
+        counted: nodes at which failure has not been declared, [nodes].
+        problem: problem with the semantics and the discount.
+        term: the term.
+    """
     survival, semantics = survival_of(problem.discount), problem.semantics
     if term.through and chain.model.failure_label is not None:  # to the true end of the run
         semantics, counted = replace(semantics, give_up=GiveUp.DEAD_ENDS), chain.settling
@@ -749,13 +783,13 @@ def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Te
 def _ending_values(
     chain: Chain, at_end: FloatArray, survival: float = 1.0, at_stop: FloatArray | float = 0.0
 ) -> FloatArray:
-    """Return the probability of ending in some nodes, discounted, from each node, [nodes, ways].
+    """Return the discounted probability of each way to end, from each node, [nodes, ways].
 
     Args:
         chain: the chain.
-        at_end: masks of the goals and dead-ends of each way, [nodes, ways].
+        at_end: for each way the goals and dead-ends that count, [nodes, ways].
         survival: discount.
-        at_stop: masks of the nodes where giving up counts for each way, [nodes, ways].
+        at_stop: for each way the nodes at which giving up counts, [nodes, ways].
     """
     settling = chain.settling & (chain.goal == 0) & (chain.dead == 0)
     hits = survival * chain.ahead(at_end) + chain.give_up[:, None] * at_stop
@@ -770,7 +804,7 @@ def _value_until_failure(
     free: BoolArray | None = None,
     start: FloatArray | None = None,
 ) -> float:
-    """Return E[r_tau] from the start: stage costs while the goal is reachable, then the charge.
+    """Return E[r_tau] from the start: stage costs until failing, and the charge of failing.
 
     Args:
         chain: chain with the costs that count.
@@ -795,5 +829,5 @@ def _value_until_failure(
 
 
 def complement(probability: float) -> float:
-    """Return 1 minus a probability, within [0, 1]."""
+    """Return 1 minus a probability, clipped to [0, 1]."""
     return min(max(1.0 - probability, 0.0), 1.0)

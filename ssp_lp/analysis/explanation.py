@@ -33,10 +33,10 @@ class ActionValue(NamedTuple):
 class Explanation(Report):
     """The actions of a state, the best first.
 
-    Each action is taken once, followed by an optimal policy at the optimal prices. The value of an
-    action is the weighted sum of the amounts that follow: the cost, plus for each row the price
-    times the amount, minus in case S c* times the goal probability. An action with excess 0 is
-    optimal; a lottery mixes policies that take different optimal actions.
+    Each action is taken once. Then a policy is followed that is optimal at the optimal prices. The
+    value of an action is a weighted sum of expected amounts: the cost, and for each row of the
+    program its price times its amount. In case S, c* times the goal probability is subtracted. An
+    action with excess 0 is optimal. A lottery mixes policies that take different optimal actions.
     """
 
     state: Hashable
@@ -46,7 +46,7 @@ class Explanation(Report):
     actions: tuple[ActionValue, ...]
 
     def tables(self) -> list[Table]:
-        """Return a table with a row for each action, titled by the weights of the quantities."""
+        """Return a table with a row for each action; its title has the weights."""
         paid = "" if self.cost_paid is None else f" after a cost of {self.cost_paid:g}"
         terms = [
             f"{'-' if weight < 0.0 else '+'} {abs(weight):.6g} x {name}"
@@ -96,9 +96,9 @@ def explanation(
                 "out of reach from the start"
             )
         some = [f"{label.state!r}{label.paid}" for label in labels.values()]
-        there = " and ".join(dict.fromkeys(some[:3]))
+        there = " or ".join(dict.fromkeys(some[:3]))
         raise ModelError(
-            f"the solution has no single decision in {state!r} at cost {total}; there is {there}"
+            f"the solution has no single decision in {state!r} at cost {total}: choose {there}"
         )
     names, weights, rewards = zip(*_counted_quantities(program, prices, ratio), strict=True)
     amounts = _following(values, np.stack(rewards))[:, columns]
@@ -127,7 +127,10 @@ def explanation(
 def _counted_quantities(
     program: OccupationProgram, prices: Mapping[str, float], ratio: float
 ) -> list[tuple[str, float, FloatArray]]:
-    """Return the objective, the goal in case S, failing, and each row: name, weight, [pairs]."""
+    """Return the quantities of the value: name, weight, and amount of each pair, [pairs].
+
+    The quantities are the objective, in case S the goal, failure, and each row of the program.
+    """
     process = program.process
     counted = [(program.objective, 1.0, process.cost)]
     if program.ratio:
@@ -140,7 +143,12 @@ def _counted_quantities(
 
 
 def _following(values: StateValues, rewards: FloatArray) -> FloatArray:
-    """Return the expected amount of each quantity after each pair, [quantities, pairs]."""
+    """Return the expected amount of each quantity if a pair is taken once, [quantities, pairs].
+
+    Args:
+        values: state values at the optimal prices.
+        rewards: amount of each quantity in a step, [quantities, pairs].
+    """
     process, size = values.program.process, float(np.abs(values.states).max(initial=0.0))
     tight = values.reduced_costs <= ROUNDING * max(size, 1.0)
     leaving = leaving_choice(process.dynamics, process.goal)

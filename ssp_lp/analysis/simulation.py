@@ -79,7 +79,7 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
 
     Args:
         sample: costs in [0, most], independent and identically distributed.
-        confidence: of the interval, with half of the error on either side.
+        confidence: confidence of the interval, with half of the error on either side.
         most: greatest cost that can occur.
 
     Reference:
@@ -106,8 +106,8 @@ def greatest_total(
 ) -> tuple[float, bool]:
     """Return the greatest total cost of a simulated episode with at most ``steps`` steps.
 
-    Steps within a strong component may be repeated, others occur once: the total is that of the
-    most expensive path through the components.
+    Steps within a strong component may be repeated, all other steps occur once. The total is that
+    of the most expensive path through the components.
 
     Args:
         model: the model.
@@ -169,29 +169,34 @@ class Simulator(Protocol):
         """Take one step in each of k simulated episodes.
 
         Args:
-            world: [k, ...].
+            world: state of each world, [k, ...].
             pair: state-action pairs of the model, [k].
 
         Returns:
-            The worlds, the model's states there, and the costs, [k] each.
+            The next worlds, [k, ...], the model's states that correspond to them, and the costs of
+            the step, [k] each.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class ModelSimulator:
-    """A model as a world. The world is the model's state, for a product its original's state."""
+    """A model as a world.
+
+    The world is a state of the model or, if the model is a product (with memory or time), a state
+    of the original model.
+    """
 
     model: SSP
     start: FloatArray  # [states]
     stated: SSP | None = None  # the model of which ``model`` is a product; None: ``model`` itself
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Draw start states of the simulated model."""
+        """Draw start states; return the worlds and the model's states, [episodes] each."""
         state = rng.choice(self.model.n_states, size=episodes, p=self.start)
         return self._stated[0][state], state
 
     def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
-        """Simulate one outcome of each pair by inversion."""
+        """Draw one outcome of each pair by inversion of its distribution."""
         (seen, costs), offsets = self._stated, self.model.outcome_offsets
         outcome = drawn_in_segments(self._sums, offsets[pair], offsets[pair + 1], rng)
         successor = self.model.successors[outcome].astype(np.int64)
@@ -199,7 +204,7 @@ class ModelSimulator:
 
     @cached_property
     def _stated(self) -> tuple[IntArray, FloatArray]:
-        """State of the stated model for each state, [states], and cost of each outcome."""
+        """Original model's state of each state, [states], and cost of each outcome, [outcomes]."""
         model, stated = self.model, self.model if self.stated is None else self.stated
         state: IntArray = np.arange(model.n_states)
         outcome: IntArray = np.arange(model.n_outcomes)
@@ -210,31 +215,31 @@ class ModelSimulator:
 
     @cached_property
     def _sums(self) -> FloatArray:
-        """Cumulative probabilities after a leading 0, for the simulator's draws."""
+        """Cumulative sums of the outcomes' probabilities, from 0 on, [outcomes + 1]."""
         return np.append(0.0, np.cumsum(self.model.probabilities))
 
 
 @dataclass(frozen=True, eq=False)
 class _ProductSimulator:
-    """A simulator of an original model, used as a simulator of its product."""
+    """A simulator of a product, which plays the original model and keeps the memory."""
 
     inner: Simulator
     product: ProductSSP
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Start episodes with the product's first memory."""
+        """Start episodes; the memory is the first one of the start state."""
         world, state = self.inner.reset(episodes, rng)
         return world, self.product.table[state, self.product.first_memory(state)]
 
     def step(self, world: World, pair: IntArray, rng: np.random.Generator) -> Moved:
-        """Take a step in the world, and update the memory."""
+        """Take a step in the original model's world, and update the memory."""
         moved, state, cost = self.inner.step(world, self.product.original_pair[pair], rng)
         _check_simulated_states(self.product.original, state)
         return moved, self.product.moved(pair, state, cost), cost
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
-    """Translate a simulator on the stated model to the model that is solved."""
+    """Return a simulator of the solved model, a product, from one of the stated model."""
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
     return _ProductSimulator(_on_products(simulator, model.original, stated), model)
@@ -309,11 +314,12 @@ def simulate(
     ``max_steps``. A mixed policy draws one member for each episode. Costs count as in
     :func:`evaluate`, until the policy has lost the goal in the model.
 
-    Intervals of probabilities are Clopper and Pearson's; those of mean costs are valid for rare
-    expensive events, too (``mean_estimate``): their upper ends, by empirical Bernstein, depend on
+    Intervals of probabilities are Clopper and Pearson's. Intervals of mean costs are valid for rare
+    expensive events, too (``mean_estimate``). Their upper ends, by empirical Bernstein, depend on
     the most expensive episode that the policy can play in ``max_steps`` steps (in a world of your
-    own, at the model's costs). Costs of unfinished episodes are those up to ``max_steps``. The
-    report's ``note`` says so, and says if only ``max_steps`` bounds the total cost.
+    own, at the model's costs). The cost of an unfinished episode is the cost of its ``max_steps``
+    steps. The report's ``note`` says whether there are unfinished episodes, and whether only
+    ``max_steps`` bounds the total cost.
 
     Args:
         policy: the policy, on the problem's model.
@@ -373,7 +379,7 @@ def _simulate_episodes(
     max_steps: int,
     record: int,
 ) -> _Played:
-    """Play the episodes of a simulation side by side."""
+    """Play all episodes of a simulation, one step of each at a time."""
     model, marks = problem.model, end_marks(problem.model)
     players = as_lottery(policy).start_many(episodes, rng)
     world, state = simulator.reset(episodes, rng)
@@ -427,11 +433,11 @@ def _simulate_episodes(
 def _check_simulated_states(model: SSP, state: IntArray) -> None:
     """Raise :class:`ModelError` unless a simulator returned states of the model."""
     if ((state < 0) | (state >= model.n_states)).any():
-        raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
+        raise ModelError(f"the simulator returned a state outside 0 .. {model.n_states - 1}")
 
 
 def _failing_charges(problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """Return the charge of entering a dead-end, and of giving up or losing the goal, [states]."""
+    """Return two charges, [states] each: of entering a dead-end, and of failing elsewhere."""
     model, semantics = problem.model, problem.semantics
     entering = entering_charges(model, semantics)
     if semantics.forbids_failing:

@@ -1,20 +1,26 @@
 """Sensitivity: derivatives of the optimum by the numbers of a problem.
 
 By the envelope theorem the derivative of the optimum is the derivative of the Lagrangian at an
-optimal lottery x and optimal prices. The worth of an outcome o of a pair, at the prices, is
+optimal lottery and optimal prices. Let x be the expected number of times that the lottery takes a
+pair. The worth of an outcome o of this pair, at the prices, is
 
-    worth(o) = cost + sum of price * quantity + value of its successor,
+    worth(o) = cost + sum of price * quantity + value of its successor.
 
-where a dead-end has the price of failing and its charges as the value. The derivatives are: for
-moving probability from outcome o to o', x * (worth(o') - worth(o)); for a cost, x * probability;
-for a bound, minus its price; for the start, a difference of values. In case S the same holds at
-each accumulated cost, with -c* as the value of the goal, divided by the goal probability.
+The value of a dead-end is the price of failing plus the charges there. The derivatives are:
+
+- x * (worth(o') - worth(o)) for moving probability from outcome o to o',
+- x * probability for the cost of an outcome,
+- minus its price for a bound,
+- a difference of values for the start.
+
+In case S the formulas hold at each accumulated cost, with -c* as the value of the goal, and are
+divided by the goal probability.
 
 If the prices are unique but several lotteries are optimal, the derivative to the right is the least
-value of the formula over all optimal lotteries, and that to the left the greatest (Danskin's
-theorem; the reverse for a maximum). Each is a linear program over the optimal actions. If several
-prices are optimal, the formula is evaluated at nearby numbers on both sides, and checked against
-differences of the optimum.
+value of the formula over all optimal lotteries, and the derivative to the left is the greatest
+value (Danskin's theorem; the reverse for a maximum). Each is a linear program over the optimal
+actions. If several prices are optimal, the formula is evaluated at nearby numbers on both sides,
+and checked against differences of the optimum.
 """
 
 from __future__ import annotations
@@ -76,7 +82,7 @@ def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, fl
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A direction in which numbers of a problem move: the change of each per unit of the step."""
+    """A direction in which numbers of a problem move: how much each changes per unit of a step."""
 
     probabilities: Mapping[int, float] = field(
         default_factory=dict
@@ -148,7 +154,7 @@ class Number:
 
     @property
     def scale(self) -> float:
-        """Size of a number, which weights its derivative; min(p, 1 - p) for a probability p."""
+        """Absolute value of the number, min(p, 1 - p) for a probability p; weights effects."""
         size = 1.0 if self.value is None else abs(self.value)
         return min(size, 1.0 - size) if self.kind in ("probability", "start") else size
 
@@ -173,7 +179,7 @@ class Effect:
 
     @property
     def weight(self) -> float:
-        """Change of the optimum, by the derivatives, when the number moves by its size."""
+        """Change of the optimum if the number moved by its size at the greater derivative."""
         return max(abs(side or 0.0) for side in (self.left, self.right)) * self.number.scale
 
 
@@ -181,7 +187,7 @@ class Effect:
 class _Optimum:
     """An optimal lottery and optimal prices of a problem, with derivatives of the optimum.
 
-    Arrays are on the model that is solved: with a horizon, on (state, steps taken).
+    Arrays belong to the model that is solved. With a horizon its states are (state, steps taken).
     """
 
     problem: Problem  # the one that is solved
@@ -192,11 +198,12 @@ class _Optimum:
     def of(cls, problem: Problem, cap: float = 0.0, near: _Optimum | None = None) -> _Optimum:
         """Solve the problem's program.
 
-        In case S totals are distinguished up to a total beyond which no run succeeds.
+        In case S the program distinguishes total costs up to a cap. The cap is raised until no run
+        succeeds beyond it.
 
         Args:
             problem: the problem.
-            cap: in case S a guess of that total; 0: none.
+            cap: in case S the first cap; 0: a default.
             near: optimum of a problem with nearby numbers, from which the solver starts.
 
         Raises:
@@ -216,15 +223,18 @@ class _Optimum:
             if measure.beyond <= _BEYOND:
                 return cls(solved, measure, cap)
             cap *= 2.0
-        raise SolverError("too many total costs for derivatives of a cost given success")
+        raise SolverError("too many total costs given success for derivatives: round the costs")
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the fields and derived numbers, without the solver of ``optima``."""
+        """Return the state to pickle: all fields and cached numbers except ``optima``."""
         return {name: value for name, value in self.__dict__.items() if name != "optima"}
 
     @cached_property
     def scale(self) -> float:
-        """Sign and divisor that turn the Lagrangian's derivative into the optimum's."""
+        """Factor between the derivatives of the Lagrangian and of the optimum.
+
+        It is negative for a maximum. In case S it divides by the goal probability.
+        """
         program = self.measure.program
         sign = 1.0 if program.sense.constant is None else -1.0
         goal = float(program.process.goal @ self.measure.visits) if program.ratio else 1.0
@@ -232,12 +242,12 @@ class _Optimum:
 
     @property
     def duals(self) -> StateValues:
-        """Duals of the program's balance."""
+        """Duals of the program's flow balance: state values and reduced costs."""
         return cast("StateValues", self.measure.values)
 
     @cached_property
     def values(self) -> FloatArray:
-        """Value of each node at each total, nan if no run reaches it, [copies * nodes]."""
+        """Value of each node at each total cost, nan if no run reaches it, [copies * nodes]."""
         augmented = self.measure.program.augmented
         every = np.full(augmented.copies * augmented.quotient.n_nodes + 1, np.nan)
         every[augmented.part.states] = self.duals.states
@@ -245,12 +255,12 @@ class _Optimum:
 
     @cached_property
     def size(self) -> float:
-        """One more than the greatest absolute value, to which rounding is relative."""
+        """1 plus the greatest absolute value: the size that tolerances are relative to."""
         return 1.0 + float(np.nanmax(np.abs(self.values)))
 
     @cached_property
     def best(self) -> BoolArray:
-        """Whether a column is optimal in a state that is visited, [pairs]."""
+        """Mask of the program's pairs that are optimal in a visited state, [pairs]."""
         process = self.measure.program.process
         often = np.bincount(process.pair_state, self.measure.visits, process.n_states)
         is_optimal = self.duals.reduced_costs <= ROUNDING * self.size
@@ -258,7 +268,7 @@ class _Optimum:
 
     @cached_property
     def rows(self) -> list[tuple[float, UpperRow]]:
-        """Limits of the problem that have a price, in the form of the program."""
+        """Limits of the problem that have a price, with the price, as rows of the program."""
         prices, bounds = self.measure.prices, self.measure.program.bounds
         priced = list[tuple[float, UpperRow]]()
         for row in (row for condition in self.problem.conditions for row in condition.rows):
@@ -270,7 +280,7 @@ class _Optimum:
 
     @cached_property
     def paid(self) -> list[tuple[float, SSP]]:
-        """Step costs that count, each as a weight and a model whose own cost it is."""
+        """Step costs in the Lagrangian: the weight, and a model whose own cost it is."""
         model, semantics = self.problem.model, self.problem.semantics
         counts = not self.problem.ratio and semantics.aim is Aim.LEAST_COST
         own = [(1.0, model)] if counts else []
@@ -288,7 +298,10 @@ class _Optimum:
 
     @cached_property
     def ends(self) -> tuple[FloatArray, float]:
-        """Worth of entering each state, future values excluded, [states]; worth of leaking."""
+        """Worth of entering each state and of ending by the discount.
+
+        The worth of entering, [states], does not include the value of the state.
+        """
         quotient = self.measure.program.augmented.quotient
         model, goal, dead = self.problem.model, self.problem.model.goal_mask, quotient.dead
         ended, entering, leak = quotient.node_of < 0, np.zeros(model.n_states), self.failing
@@ -312,15 +325,15 @@ class _Optimum:
 
     @cached_property
     def outcomes(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        """Outcomes of the program's columns.
+        """Outcomes of all columns (pairs) of the program, with their worths.
 
         Returns:
-            Column, outcome, place among ``values`` of the successor (-1: an end), and worth of
-            each, [entries].
+            Column; outcome of the model; position of the successor in ``values``, -1 for an end;
+            and worth, [entries] each.
 
         Raises:
-            ModelError: the worths do not sum to the values of their states, so that an unknown
-                quantity counts.
+            ModelError: the worths do not explain the value of a state, since the problem counts a
+                quantity that is unknown here.
         """
         augmented, model = self.measure.program.augmented, self.problem.model
         quotient, survival = augmented.quotient, survival_of(self.problem.discount)
@@ -355,12 +368,16 @@ class _Optimum:
         wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
         if wrong.any():
             label = self.measure.program.label(int(own[np.argmax(wrong)]))
-            raise ModelError(f"no derivatives: the outcomes of {label} do not explain its cost")
+            raise ModelError(f"the value of {label} is too rough for derivatives: round the costs")
         return own[each], outcome, place, worth
 
     @cached_property
     def by_probability(self) -> FloatArray:
-        """Derivative by the probability of each outcome, up to a constant per pair, [outcomes]."""
+        """Derivative by the probability of each outcome, [outcomes].
+
+        The numbers of one pair are determined up to a common constant, since its probabilities sum
+        to 1.
+        """
         column, outcome, _, worth = self.outcomes
         taken = self.measure.visits[column]
         change = np.where(taken > 0.0, taken * worth, 0.0)
@@ -395,7 +412,7 @@ class _Optimum:
         return {name: name in paid or name == own for name in by_name}
 
     def _name_of(self, costs: SSP) -> str | None:
-        """Return the problem's name for the cost that another model counts, or None."""
+        """Return the name that the problem gives to a model's own cost, or None."""
         by_name = self.problem.model.costs_by_name.items()
         return next((name for name, each in by_name if each is costs.costs), None)
 
@@ -418,7 +435,12 @@ class _Optimum:
 
     @cached_property
     def charged(self) -> list[tuple[float, SSP, float, slice]]:
-        """Actions whose cost failing runs pay: weight, model, failing mass, outcomes."""
+        """Actions whose cost a run pays when it fails.
+
+        Returns:
+            For each action and cost the weight, a model whose own cost it is, the failing mass, and
+            the range of the action's outcomes.
+        """
         if not self.problem.semantics.charge_failing_step:
             return []
         program, model = self.measure.program, self.problem.model
@@ -476,19 +498,19 @@ class _Optimum:
 
     @property
     def counting_steps(self) -> ProductSSP | None:
-        """Model of (state, steps taken) that is solved with a horizon, or None."""
+        """Model with the states (state, steps taken), if the problem has a horizon, or None."""
         model = self.problem.model
         return model if isinstance(model, ProductSSP) and model.is_hidden else None
 
     def _stated(self, per_outcome: FloatArray) -> FloatArray:
-        """Convert numbers of the solved model's outcomes to the stated model's, [outcomes]."""
+        """Return sums over the steps of a horizon, for each outcome of the user's model."""
         if (counting := self.counting_steps) is None:
             return per_outcome
         places, size = counting.original_outcome, counting.original.n_outcomes
         return np.bincount(places, per_outcome, size).astype(np.float64)
 
     def along(self, change: Change) -> float:
-        """Return the derivative of the optimum when numbers move together."""
+        """Return the derivative of the optimum in the direction of a change."""
         return float(sum((
             *(slope * self.by_probability[k] for k, slope in change.probabilities.items()),
             *(slope * self.by_cost[name][k] for (name, k), slope in change.costs.items()),
@@ -498,7 +520,7 @@ class _Optimum:
 
     @cached_property
     def support(self) -> frozenset[Hashable]:
-        """Used columns, by their numbers among all copies, and rows with a price."""
+        """Columns (pairs) that the lottery uses, as numbers, and names of rows with a price."""
         pairs = self.measure.program.augmented.part.pairs[self.measure.visits > ROUNDING]
         return frozenset(pairs.tolist()) | {
             n for n, y in self.measure.prices.items() if y > ROUNDING
@@ -508,9 +530,10 @@ class _Optimum:
     def is_unique(self) -> bool:
         """Whether no other lottery and no other prices are optimal.
 
-        They are unique if every optimal pair of a visited state is used, if there are as many such
-        pairs as visited states and tight rows together, if every tight row has a price, and if no
-        charge of failing is attained by two actions.
+        Four conditions are sufficient: every optimal pair of a visited state is used; the number of
+        these pairs is the number of visited states plus the number of tight rows; every tight row
+        has a price; and where failing is charged like an action, no other action of the state costs
+        the same.
         """
         unused = (self.best & (self.measure.visits <= ROUNDING)).any()
         alone = self.has_one_price and self._priced == {*self.tight} and not unused
@@ -532,17 +555,18 @@ class _Optimum:
 
     @cached_property
     def has_one_price(self) -> bool:
-        """Whether the vertex has enough pairs for its tight rows, so that the prices are unique."""
+        """Whether the prices are unique: the vertex uses a further pair for each tight row."""
         used = self.measure.visits > ROUNDING
         visited = np.unique(self.measure.program.process.pair_state[used]).size
         return int(used.sum()) - visited == len(self.tight)
 
     @cached_property
     def optima(self) -> Callable[[FloatArray, float], float] | None:
-        """Least value over all optimal lotteries of a function of visits, [pairs], and a constant.
+        """Function that minimises a linear function of the visits over all optimal lotteries.
 
-        None if several prices may be optimal: the vertex has too few pairs for its tight rows. In
-        case S all is divided by the goal probability. It is nan if there is no least value.
+        Its arguments are the coefficients, [pairs], and a constant. It returns the least value, nan
+        if there is none. In case S the value is divided by the goal probability. None instead of
+        the function: several prices may be optimal, or failing steps are charged.
         """
         if not self.has_one_price or self.problem.semantics.charge_failing_step:
             return None
@@ -565,8 +589,8 @@ class _Optimum:
     def sides(self, change: Change) -> tuple[float, float] | None:
         """Return the derivatives to the left and right in a direction if the prices are unique.
 
-        None: several prices may be optimal, or a value that counts is unknown. Values of states
-        that no optimal run visits are not unique, so none may begin to be visited.
+        None: several prices may be optimal, or the change leads to a state that no optimal run
+        visits, whose value is not unique.
         """
         (column, outcome, _, worth), counting = self.outcomes, self.counting_steps
         model, process = self.problem.model, self.measure.program.process
@@ -581,7 +605,7 @@ class _Optimum:
         stated = outcome if counting is None else counting.original_outcome[outcome]
 
         def slopes(of: Mapping[int, float]) -> FloatArray:
-            """Return the change of each entry of ``outcomes``, [entries]."""
+            """Return the change of each entry of ``outcomes``, given changes by outcome."""
             each = np.zeros((model if counting is None else counting.original).n_outcomes)
             each[list(of)] = list(of.values())
             return np.asarray(each[stated])
@@ -604,7 +628,7 @@ class _Optimum:
 
     @property
     def _charges_tie(self) -> bool:
-        """Whether a failing run may pay the same cost by another action than the charged one."""
+        """Whether another action costs as much as the one that a failing run is charged."""
         model, means = self.problem.model, {id(m): cost_means(m) for _, m in self.paid}
         for _, costs, _, some in self.charged:
             pair = int(np.searchsorted(model.outcome_offsets, some.start, side="right")) - 1
@@ -619,7 +643,7 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
 
     Args:
         problem: the problem.
-        begun: optimum of a program of this shape, from which the solver starts.
+        begun: optimum of a program with equally many rows and columns, for a warm start; or None.
 
     Raises:
         SolverError: the optimum that was found is not a vertex.
@@ -641,11 +665,11 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
         raise
     if 2.0 * seconds_left() < limit:
         raise Stop  # the limit has cut the solver short of a vertex
-    raise SolverError("the program was solved by interior points alone, whose prices are rough")
+    raise SolverError("the LP solver found no vertex, whose prices are needed: round the costs")
 
 
 def _facts(model: SSP) -> dict[str, Any]:
-    """Return the facts about a model's graph on which the structure of its optimum depends."""
+    """Return facts about a model's graph, by name; if they change, the optimum may jump."""
     attention = attention_states(model)
     return {
         "dead-ends": dead_ends(model),
@@ -657,11 +681,11 @@ def _facts(model: SSP) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WhatIf(Report):
-    """Derivatives of an optimum by the numbers of its problem, those that matter most first.
+    """Derivatives of an optimum by the numbers of its problem, the most important first.
 
-    A number matters by its derivative times its size (for a probability p: min(p, 1 - p)). Unlisted
-    numbers belong to actions that are not optimal: changing them slightly does not change the
-    optimum.
+    The importance of a number is its derivative times its size (for a probability p: min(p, 1 -
+    p)). Numbers that are not listed belong to actions that are not optimal: a slight change of them
+    does not change the optimum.
     """
 
     problem: Problem
@@ -695,12 +719,12 @@ class WhatIf(Report):
         """Return the reason why the optimum has no derivative in a direction, or empty."""
         problem, model = self.problem, self.problem.model
         if (change.probabilities or change.start) and problem.reach_fraction is not None:
-            return "the budget changes as well, with the greatest goal probability"
+            return "the failure budget changes with the greatest goal probability"
         measure, program = self.optimum.measure, self.optimum.measure.program
         if change.probabilities and problem.failure_budget is None and program.at_least:
             acting = np.diff(program.process.pair_offsets)[program.process.pair_state] > 1
             if (measure.visits[acting] > ROUNDING).any():
-                return "two actions are equally safe: the least failure decides between them"
+                return "two actions are equally safe: after a change only the safer one is allowed"
         costs = model.costs_by_name
         rises = any(s > 0.0 == model.probabilities[k] for k, s in change.probabilities.items())
         rises |= any(s > 0.0 == costs[name][k] for (name, k), s in change.costs.items())
@@ -713,7 +737,12 @@ class WhatIf(Report):
         return ""
 
     def _side(self, change: Change, sign: float) -> tuple[float | None, str]:
-        """Return a one-sided derivative, evaluated nearby; or None and the reason."""
+        """Return a one-sided derivative, extrapolated from nearby optima; or None and the reason.
+
+        Args:
+            change: the direction.
+            sign: 1 for the right side, -1 for the left side.
+        """
         side, most = "left" if sign < 0.0 else "right", change.most(self.problem, sign)
         if most <= 0.0:
             return None, f"{side}: a number would be negative"
@@ -741,15 +770,14 @@ class WhatIf(Report):
         return float(slope), ""
 
     def breakpoints(self, number: str | Number | Change) -> tuple[float, float]:
-        """Return the steps to the left and to the right up to which the same actions are optimal.
+        """Return how far a number may fall and rise without a change of the optimal actions.
 
-        The number may move by any step between the two without a change of the lottery's actions;
-        at a kink one of them is 0. They are found by bisection on solutions of the program, to a
-        relative accuracy of 1e-6, and are limited to 1,000 and to steps that keep numbers at least
-        0.
+        At a kink of the optimum one of the two steps is 0. The steps are found by bisection on
+        solutions of the program, to a relative accuracy of 1e-6. They are at most 1,000 long, and
+        leave every number at least 0.
 
         Args:
-            number: a name in the table, such as "failure budget", a number or a change.
+            number: a name in the table (such as "failure budget"), a number or a change.
 
         Raises:
             ModelError: the table has no number of this name.
@@ -768,7 +796,7 @@ class WhatIf(Report):
         end = min(change.most(self.problem, sign), _FARTHEST)
 
         def stays(step: float) -> bool:
-            """Return whether the same actions are optimal and used after a step."""
+            """Return whether the lottery uses the same actions, and the same rows have prices."""
             try:
                 moved = change.applied(self.problem, sign * step)
                 beside = _Optimum.of(moved, near=self.optimum)
@@ -785,7 +813,7 @@ class WhatIf(Report):
         return high if high == end else low
 
     def tables(self) -> list[Table]:
-        """Return a table with a row for each number, those that matter most first."""
+        """Return a table with a row for each number, the most important first."""
         rows = [
             (e.number.name, e.number.value, e.derivative, e.left, e.right, e.weight, e.note,
              e.number.kind, e.number.state, e.number.action, e.number.successor)
@@ -822,9 +850,9 @@ def what_if(
 
     Args:
         problem: the problem.
-        by: as there.
-        time_limit: as there.
-        cap: in case S a guess of the greatest total cost of a run that succeeds; 0: none.
+        by: function from a number to its group, None to leave the number out.
+        time_limit: seconds; None: unlimited.
+        cap: in case S a guess of the greatest total cost of a run that succeeds; 0: no guess.
 
     Raises:
         ModelError: a criterion whose optimum has no such derivatives.
@@ -844,7 +872,10 @@ def what_if(
 
 
 def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None) -> list[Number]:
-    """Return numbers in the groups of ``by``; None: each alone, of two outcomes the less likely."""
+    """Return a number for each group of ``by``.
+
+    Without ``by`` each number is alone, and of a pair's two outcomes only the less likely is given.
+    """
     if by is None:
         return [number for number in numbers if not number.is_rest]
     groups = dict[Hashable, list[Number]]()
@@ -860,7 +891,7 @@ def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None)
 
 
 def _common_value(numbers: list[Number]) -> float | None:
-    """Return the value that all numbers have, or None."""
+    """Return the value of the numbers if they are all equal, or None."""
     values = {number.value for number in numbers}
     return values.pop() if len(values) == 1 else None
 
@@ -906,7 +937,10 @@ def _numbers(problem: Problem, optimum: _Optimum) -> Iterator[Number]:
 
 
 def _optimal_pairs(optimum: _Optimum) -> IntArray:
-    """Return the stated model's pairs that are optimal in a visited state, or charged."""
+    """Return the pairs of the user's model that are optimal in a visited state, or charged.
+
+    A pair is charged if a failing run pays its cost.
+    """
     column, outcome, _, _ = optimum.outcomes
     charged = [np.arange(some.start, some.stop) for *_, some in optimum.charged]
     used = np.concatenate([outcome[optimum.best[column]], *charged]).astype(np.int64)
@@ -918,7 +952,7 @@ def _optimal_pairs(optimum: _Optimum) -> IntArray:
 
 
 def _in_proportion(shares: FloatArray, places: list[int], place: int) -> dict[int, float]:
-    """Return the changes by which one share rises and the others fall in proportion."""
+    """Return changes per unit: one share rises, and all other shares fall in proportion."""
     rest = 1.0 - float(shares[place])
     paid = {k: -float(shares[k]) / rest for k in places if k != place and shares[k] > 0.0}
     return {place: 1.0, **paid}
@@ -927,7 +961,7 @@ def _in_proportion(shares: FloatArray, places: list[int], place: int) -> dict[in
 def _numbers_of_pair(model: SSP, pair: int, optimum: _Optimum) -> Iterator[Number]:
     """Yield the probabilities of a pair's outcomes, and their costs that count.
 
-    Costs are one number if all outcomes cost the same.
+    If all outcomes have equal costs, these are one number.
     """
     outcomes = [*range(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))]
     state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)

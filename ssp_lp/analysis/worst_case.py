@@ -28,7 +28,7 @@ from ssp_lp.processes.live_rows import costless_pairs
 
 @dataclass(frozen=True, repr=False)
 class WorstCase(Facts):
-    """Worst measures of a policy over boxes, each at its own probabilities.
+    """Worst measures of a policy over boxes, each at the probabilities that are worst for it.
 
     The measures need not occur together: probabilities that maximise the cost need not maximise the
     failure. If ``is_exact``, each is attained (or approached) by one choice of probabilities;
@@ -50,15 +50,15 @@ class WorstCase(Facts):
             ModelError: always.
         """
         raise ModelError(
-            "the cost given success has no worst case here: worst cost over least goal probability "
-            "would overstate it without limit; use expected_cost and failure_probability"
+            "the worst cost given success is not computed (worst cost divided by least goal "
+            "probability may be far above it): use expected_cost and failure_probability"
         )
 
     def tables(self) -> list[Table]:
         """Return a table of all measures, with a note that they need not occur together."""
         note = "each at its own probabilities: they need not occur together"
         if not self.is_exact:
-            note += "; bounds, since nature chooses for each policy of a lottery or at each visit"
+            note += "; bounds: each policy of a lottery, or each visit, has its own worst case"
         return [
             Table([
                 ("worst objective", self.objective),
@@ -74,8 +74,7 @@ class WorstCase(Facts):
 def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> WorstCase:
     """Evaluate a policy at its worst probabilities in boxes.
 
-    All outcomes that the boxes allow decide whether the goal can still be reached, and so whether
-    failing is declared.
+    Failing is declared as soon as the goal cannot be reached by any outcomes that the boxes allow.
 
     Args:
         policy: on the problem's model, or on one with other probabilities of the same outcomes.
@@ -135,7 +134,13 @@ def _measures(boxed: BoxedChain, problem: Problem, boxes: Boxes) -> list[float]:
 
 
 def _reach(boxed: BoxedChain, ends: FloatArray, at_stop: float = 0.0) -> float:
-    """Return the greatest probability of reaching some nodes from the start, or giving up."""
+    """Return the greatest probability of reaching some nodes from the start.
+
+    Args:
+        boxed: the policy's chain, with intervals of its probabilities.
+        ends: 1 at these nodes, 0 elsewhere, [nodes].
+        at_stop: 1 if giving up counts as well, otherwise 0.
+    """
     nothing, inside = np.zeros(len(boxed.low)), (ends == 0.0) & (boxed.chain.goal == 0.0)
     values = boxed.greatest(nothing, ends, inside, at_stop=at_stop)
     return float(boxed.chain.start @ values)
@@ -147,7 +152,7 @@ def _cost(boxed: BoxedChain, semantics: FailureSemantics, boxes: Boxes, penalty:
     inside = boxed.acting if semantics.give_up is GiveUp.DEAD_ENDS else chain.alive
     stopping, entering = worst_charges(semantics, boxes)
     if np.isinf(stopping[chain.state[chain.give_up > 0.0]]).any():
-        raise ModelError(f"the policy gives up where {semantics.give_up!s} does not allow it")
+        raise ModelError(f"the policy gives up where give_up={str(semantics.give_up)!r} forbids it")
     lost = ~inside & (chain.goal == 0.0)
     stop = np.where(chain.give_up > 0.0, stopping[chain.state], 0.0) + penalty
     ends = np.where(chain.dead > 0.0, entering[chain.state], stopping[chain.state])

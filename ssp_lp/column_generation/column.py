@@ -24,7 +24,7 @@ _Array = TypeVar("_Array", bound=npt.NDArray[Any])
 class Column:
     """A deterministic policy with its exact expected cost and failure from the start.
 
-    In case S ``cost`` is E[total cost; goal]; under discounting both are discounted.
+    In case S ``cost`` is E[total cost; goal]. With a discount, cost and failure are discounted.
     """
 
     cost: float
@@ -48,7 +48,15 @@ class Column:
     def of_figures(
         cls, figures: FloatArray, choice: IntArray | None, *, by_goal: bool = False, **more: Any
     ) -> Column:
-        """Return a column with these rewards; failure or goal is clipped to [0, 1]."""
+        """Return a column with given rewards.
+
+        Args:
+            figures: cost, failure (or minus goal) and further rows, [rewards]; failure and goal are
+                clipped to [0, 1].
+            choice: the policy, as an array of the pricing problem, or None.
+            by_goal: whether the second reward is minus the goal probability.
+            more: further fields of the column.
+        """
         cost, counted, *rows = figures.tolist()
         counted = min(max(-counted if by_goal else counted, 0.0), 1.0)
         failure, goal = (1.0 - counted, counted) if by_goal else (counted, 1.0 - counted)
@@ -71,9 +79,12 @@ def excess_failure(risky: Column, safe: Column) -> float:
 class Proof:
     """A certified dual bound: no policy has a lower value at this price of failure.
 
-    A policy's value is ``cost + failing * failure - (price - failing) * goal``. With ``failing``
-    equal to the price this is ``cost + price * failure``; with 0 it is ``cost - price * goal``,
-    which is exact where failing is optimal, and is used in case S if the budget is slack.
+    The value of a policy is ``cost + failing * failure - (price - failing) * goal``. There are two
+    forms:
+
+    - ``failing == price``: the value is ``cost + price * failure``.
+    - ``failing == 0``: the value is ``cost - price * goal``. It is used in case S if the budget is
+      slack, because it loses no digits where failing is optimal.
     """
 
     price: float
@@ -92,15 +103,15 @@ def required(part: _Array | None) -> _Array:
         ModelError: the column has none, since it was not made by pricing.
     """
     if part is None:
-        raise ModelError("this column has no choice or totals: pricing did not make it")
+        raise ModelError("no choice or totals: pass a column that the pricing problem made")
     return part
 
 
 class PricingProblem(ABC):
-    """Minimises ``cost + failure_price * failure`` and evaluates the policy found.
+    """Minimises ``cost + failure_price * failure`` over policies, and evaluates the policy found.
 
-    An implementation may be explicit, layered or distributed: the states need not fit into one
-    array.
+    Implementations have an explicit process, layers of accumulated cost, or states that are
+    distributed over several computers.
     """
 
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure
@@ -120,7 +131,11 @@ class PricingProblem(ABC):
         """Shape of the value functions that ``check`` takes."""
 
     def incumbent(self, reached: Any) -> Column | None:
-        """Return the last column before a Stop, from the Stop's choice; None: no policy."""
+        """Return the column of the policy that a stopped pricing call had reached, or None.
+
+        Args:
+            reached: the stopped computation, as the Stop exception carries it.
+        """
         return None
 
     @abstractmethod
@@ -132,7 +147,7 @@ class PricingProblem(ABC):
         """Solve the pricing problem: return a column of least priced cost, evaluated exactly.
 
         Args:
-            price: of failure, or the weight of each reward, [rewards].
+            price: price of failure, or the weight of each reward, [rewards].
             warm: policies to start from, the presumably nearest first; None entries are ignored.
 
         Raises:
@@ -141,23 +156,29 @@ class PricingProblem(ABC):
 
     @property
     def covered(self) -> float:
-        """Price of failure below which one pricing call covers all prices; 0: none."""
+        """Greatest price of failure at which a pricing call also solves lower prices; 0: none."""
         return 0.0
 
     def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
-        """Return columns found at other prices while a column was priced, next to the budget."""
+        """Return columns for lower prices, with failures close to the budget.
+
+        They are by-products of the pricing call that found ``column``.
+        """
         return ()
 
     def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
-        """Return a policy with about this failure that was found while pricing; None: none was."""
+        """Return a policy of about a given failure, a by-product of a pricing call, or None."""
         return None
 
     def taken_on(self, columns: Sequence[Column]) -> list[Column] | None:
-        """Return columns of a process with a lower cap, evaluated in this one; None: no cap."""
+        """Return columns of a process with a lower cap, re-evaluated for this process.
+
+        The result is None if the process has no cap on accumulated cost.
+        """
         return None
 
     def true_cost(self, column: Column) -> float | None:
-        """Return a column's cost on the model, beyond the cap included; None: unknown."""
+        """Return the exact cost of a column on the model, without a cap; None: unknown."""
         return None
 
     @abstractmethod
@@ -165,18 +186,26 @@ class PricingProblem(ABC):
         """Prove a dual bound: a lower bound of the priced value of every column.
 
         Args:
-            price: of failure, or the weight of each reward, [rewards].
+            price: price of failure, or the weight of each reward, [rewards].
             best: an optimal policy at this price.
             slack: use the form ``cost - price * goal`` (:class:`Proof`).
         """
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
-        """Solve the pricing problem at new weights and prove its dual bound."""
+        """Solve the pricing problem at new weights, and prove the dual bound there."""
         return self.prove(weights, warm)
 
     @abstractmethod
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower values to a sub-solution of the pricing problem, and check it.
+        """Prove a dual bound from a given value function.
+
+        The values are lowered until they are a sub-solution: no backup decreases them. Then they
+        bound the priced value of every policy from below.
+
+        Args:
+            price: price of failure.
+            values: near-optimal values, of shape ``value_shape``.
+            slack: use the form ``cost - price * goal`` (:class:`Proof`).
 
         Raises:
             ModelError: values have the wrong shape.
@@ -184,16 +213,19 @@ class PricingProblem(ABC):
 
     @property
     def anything(self) -> FloatArray:
-        """Infinite values, which ``check`` lowers to the best sub-solution that it can prove."""
+        """Infinite values, for a ``check`` without a value function, [value_shape].
+
+        ``check`` lowers them to the best bound that it can prove.
+        """
         return np.broadcast_to(np.inf, self.value_shape)
 
     def policy(self, column: Column) -> Policy:
-        """Return a column's policy on the original states."""
+        """Return the policy of a column, on the states of the model."""
         return self.pulled_back(column) if column.policy is None else column.policy
 
     @abstractmethod
     def pulled_back(self, column: Column) -> Policy:
-        """Return the policy of a column's choice, on the original states."""
+        """Translate the choice of a column to a policy on the states of the model."""
 
     def check_shape(self, values: FloatArray) -> None:
         """Check that values have the shape ``value_shape``; else raise :class:`ModelError`."""
@@ -233,15 +265,18 @@ class FailureRow:
         follows["rounding"] = _SAME * max(min(budget, demanded), 0.0)
 
     def raised_to(self, least: Column) -> FailureRow:
-        """Return the failure row with a budget of at least the least failure."""
+        """Return the failure row with its budget raised to the least failure if it is below."""
         return self if self.spare(least) >= 0.0 else self.equal_to(least)
 
     def equal_to(self, least: Column) -> FailureRow:
-        """Return the failure row with the least failure as the budget."""
+        """Return the failure row whose budget is the failure of the safest column."""
         return replace(self, budget=GoalShare(least.goal) if self.is_rare else least.failure)
 
     def spare(self, column: Column) -> float:
-        """Return the budget minus a column's failure, without cancellation; < 0: violated."""
+        """Return the budget minus a column's failure; negative if the budget is violated.
+
+        For budgets near 1 it is computed from goal probabilities, without cancellation.
+        """
         return column.goal - self.demanded if self.by_goal else self.budget - column.failure
 
     def leaves_only(self, least: Column) -> bool:
@@ -259,12 +294,15 @@ class FailureRow:
         return cost / goal if goal > 0.0 else np.inf
 
     def lower_bound(self, proof: Proof) -> float:
-        """Return the lower bound of the objective within the budget that a proof implies.
+        """Return a lower bound of the objective of all policies within the budget, from a proof.
 
-        Case M: cost + price * failure >= bound gives cost >= bound - price * budget. Case S:
-        cost >= c * goal follows for c = bound if bound >= price, else, as failure <= budget, for
-        c = (bound - price * budget) / (1 - budget). With ``proof.failing == 0`` the value is lower
-        by the price, which is exact if the budget is slack or success is rare.
+        Case M: cost + price * failure >= bound gives cost >= bound - price * budget.
+
+        Case S: the proof gives cost >= c * goal, a bound c of the ratio. If bound >= price, c is
+        the bound. Otherwise c = (bound - price * budget) / (1 - budget), since failure <= budget.
+
+        With ``proof.failing == 0`` the proof bounds cost - price * goal, which is lower by the
+        price. No digits are lost in this form if the budget is slack or success is rare.
         """
         bound, price, share = proof.bound, proof.price, self.demanded
         worth = price * (share if proof.failing == 0.0 else self.budget)
@@ -281,7 +319,7 @@ class FailureRow:
 
 
 def _per_success(rest: float, share: float) -> float:
-    """Return the rest of a dual bound divided by the required goal probability; -inf if 0."""
+    """Return ``rest / share``; -inf if the required goal probability ``share`` is 0."""
     return rest / share if share > 0.0 else -np.inf
 
 
@@ -292,7 +330,7 @@ def relative_gap(objective: float, lower_bound: float) -> float:
 
 
 def two_sided_gap(one: float, other: float) -> float:
-    """Return the relative gap between an objective and its bound, in either order."""
+    """Return the relative gap between an objective and its bound, whichever is greater."""
     return relative_gap(max(one, other), min(one, other))
 
 
@@ -301,7 +339,7 @@ CONTRADICTION = 1e-9
 
 
 def least_of(lower_bound: float, objective: float) -> float:
-    """Return the lower bound, or the objective if rounding puts the bound above it.
+    """Return the smaller of a lower bound and an objective that must not lie below it.
 
     Raises:
         SolverError: the bound exceeds the objective by more than rounding, so one is wrong.
@@ -309,6 +347,6 @@ def least_of(lower_bound: float, objective: float) -> float:
     if lower_bound > objective + CONTRADICTION * max(abs(objective), abs(lower_bound)) + _TINY:
         raise SolverError(
             f"the value of a policy, {objective!r}, lies below the lower bound of all policies, "
-            f"{lower_bound!r}: the model is too ill-conditioned for double precision"
+            f"{lower_bound!r}: runs are too long for double precision; try a discount"
         )
     return min(lower_bound, objective)

@@ -1,7 +1,8 @@
 """Layered problems whose only limit is on failure: the problem and its pricing problem.
 
-Beyond the cap lie tails in closed form. A choice is the position of a pair among the pairs of its
-node, [layers, nodes], in the smallest integer type that holds it.
+Beyond the cap on accumulated cost a policy follows a stationary *tail* policy, whose values are
+known in closed form. A *choice*, [layers, nodes], has the position of a pair among the pairs of its
+node, in the smallest integer type that holds it.
 """
 
 from __future__ import annotations
@@ -47,7 +48,10 @@ from ssp_lp.processes.live_rows import uniform_cost
 
 @dataclass(frozen=True, eq=False)
 class LayeredPricing(PricingProblem):
-    """Pricing problem of a layered process whose only row is failure; choices are [cap, nodes]."""
+    """Pricing problem of a layered process whose only limit is on failure.
+
+    Choices and values have the shape [cap, nodes]: layers below the cap, and nodes of each layer.
+    """
 
     process: LayeredProcess
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure
@@ -60,7 +64,7 @@ class LayeredPricing(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[cap, nodes] of the layered process."""
+        """Shape of value functions and choices: [cap, nodes]."""
         return self.process.cap, self.process.base.n_nodes
 
     @cached_property
@@ -69,10 +73,11 @@ class LayeredPricing(PricingProblem):
         return Sweep.of_ends(self.process)
 
     def incumbent(self, reached: Any) -> Column | None:
-        """Return the column of a stopped sweep, which is optimal at a lower price of failure.
+        """Return the column of a backward sweep that was stopped, or None.
 
-        A policy that begins in the last swept layer with nothing paid is optimal at the price minus
-        the layer's total. None if the charge is not the cost itself.
+        The sweep has solved the layers from some layer on. The policy that begins an episode in
+        that layer is optimal at a lower price of failure: the price of the sweep minus the layer's
+        total. The result is None if the charge is not the cost itself.
         """
         if not isinstance(reached, PartOfSweep) or reached.layer == self.process.cap:
             return None
@@ -87,7 +92,7 @@ class LayeredPricing(PricingProblem):
 
     @property
     def covered(self) -> float:
-        """Price of failure up to which one sweep covers all prices: the last total; 0: none."""
+        """Greatest price of failure at which one sweep also solves all lower prices; 0: none."""
         return float(self._paid[-1]) if self.is_shifted else 0.0
 
     @cached_property
@@ -97,18 +102,17 @@ class LayeredPricing(PricingProblem):
 
     @cached_property
     def _paid(self) -> FloatArray:
-        """Reduction of the price of failure in each layer, [cap]."""
+        """Amount by which beginning in each layer lowers the price of failure, [cap]."""
         process = self.process
         return process.totals.values[: process.cap] / process.base.survival
 
     def _begun_in(self, layer: int, swept: Column, measures: FloatArray | None = None) -> Column:
-        """Return the column of an episode that begins in a layer with nothing paid.
+        """Return the policy that acts at cost 0 as a swept policy does in a given layer.
 
         Args:
-            layer: the layer.
-            swept: the column of an episode that begins in the first layer; its choice is known from
-                ``layer`` on.
-            measures: cost, failure and goal of the column; None: not known yet.
+            layer: the layer that becomes the first one.
+            swept: the column of the sweep; its choice is known from ``layer`` on.
+            measures: cost, failure and goal of the result, [3]; None: they are computed.
         """
         if layer == 0 and swept.by_layer is not None:
             return swept
@@ -125,10 +129,11 @@ class LayeredPricing(PricingProblem):
         return replace(column, choice=None, policy=policy, swept=swept)
 
     def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
-        """Return columns at lower prices, next to the budget, found by the column's sweep.
+        """Return columns for lower prices, with failures close to the budget.
 
-        One sweep solves the pricing problem at its price minus the total of each layer. The best
-        dual bound among these prices lies next to the optimal price.
+        One backward sweep solves the pricing problem at many prices: the price of the column minus
+        the total of each layer. The price with the best dual bound is next to the optimal price,
+        and one of its neighbours gives the second column.
         """
         rest = column.by_layer
         if rest is None or column.choice is None or not (row.ratio and row.demanded > 0.0):
@@ -143,14 +148,14 @@ class LayeredPricing(PricingProblem):
         return replace(nearest, found_at=float(prices[best])), self._begun_in(other, column)
 
     def policy_failing(self, column: Column, failure: float, *, above: bool) -> Policy | None:
-        """Return a policy of about this failure, found by a column's sweep at a lower price.
+        """Return a policy of about a given failure, which a column's sweep found at a lower price.
 
         The failure at each price is the slope of the least value as a function of the price.
 
         Args:
-            column: found by pricing, or by its sweep.
-            failure: the policy next to this failure probability is taken.
-            above: whether the policy must fail more often rather than less often.
+            column: a column that ``minimise`` or ``beside`` returned.
+            failure: the failure probability.
+            above: whether the policy is the next one that fails more often, or less often.
         """
         swept = column.swept or column
         if swept.by_layer is None or swept.choice is None:
@@ -164,12 +169,12 @@ class LayeredPricing(PricingProblem):
         return self._process_begun_in(layer).policy(swept.choice[layer:], price)
 
     def _process_begun_in(self, layer: int) -> LayeredProcess:
-        """Return the process of an episode that begins in a layer with nothing paid."""
+        """Return the process in which a given layer is the first one, with cost 0."""
         totals = self.process.base.totals(self.process.cap - layer)
         return replace(self.process, totals=totals)
 
     def first(self) -> Column:
-        """Return the column of the tail to the goal, followed from the start."""
+        """Return the column of the tail policy to the goal, followed from the start."""
         base, tails = self.process.base, self.process.tails
         if tails.guess is not None:
             guess = tails.guess[0], 1.0, tails.guess[1] + base.start_goal
@@ -209,14 +214,14 @@ class LayeredPricing(PricingProblem):
         return replace(column, by_layer=begun)
 
     def _minimise_and_prove(self, price: float, choice: IntArray) -> Column:
-        """Return a nearly optimal column that carries the dual bounds of its sweep.
+        """Return a nearly optimal column, with the dual bounds that the same sweep proves.
 
-        Wherever the goal can be avoided, failing is optimal beyond the cap at this price, so that
-        the bound there is exact.
+        The price is so low that failing is optimal beyond the cap, wherever the goal can be
+        avoided. The bound beyond the cap is therefore exact there.
 
         Args:
-            price: of failure.
-            choice: written, [cap, nodes].
+            price: price of failure.
+            choice: filled with the choice of the column, [cap, nodes].
         """
         priced = at_price(self.sweep, price, 0.0, bounds=True)
         bounds, values = self.sweep.bound(priced, self.anything, choice)
@@ -226,7 +231,7 @@ class LayeredPricing(PricingProblem):
         return replace(column, work=bellman.Work(2 * self.process.cap, self.process.cap))
 
     def _proved_by(self, swept: Column, price: float, *, slack: bool) -> Proof | None:
-        """Return the dual bound at a price that a sweep has found, or None."""
+        """Return the dual bound at a price that an earlier sweep proved; None: it proved none."""
         layer = int(np.abs(swept.tail_price - self._paid - price).argmin())
         at = swept.tail_price - float(self._paid[layer])
         if abs(at - price) > ROUNDED * price:
@@ -249,7 +254,14 @@ class LayeredPricing(PricingProblem):
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
     ) -> Column:
-        """Return the column of a choice from its totals: charge, failure and goal."""
+        """Return the column of a choice.
+
+        Args:
+            totals: charge, failure and goal of the live part of the start, [3].
+            choice: [cap, nodes].
+            tail_price: price of failure at which the tails beyond the cap are chosen.
+            backups: number of layer backups that it took.
+        """
         base, work = self.process.base, bellman.Work(backups, self.process.cap)
         cost, failure, goal = totals.tolist()
         failure = max(failure + base.start_failure, 0.0)  # a negative value is rounding
@@ -260,7 +272,7 @@ class LayeredPricing(PricingProblem):
     def prove(
         self, price: float | FloatArray, best: Column | None = None, *, slack: bool = False
     ) -> Proof:
-        """Prove the best dual bound of one sweep."""
+        """Prove the best dual bound at a price, by a backward sweep unless it is known already."""
         price = float(pricing_weights(price)[1])
         swept, proved = None if best is None else best.swept or best, None
         if swept is not None and swept.totals is not None and swept.by_layer is not None:
@@ -268,11 +280,12 @@ class LayeredPricing(PricingProblem):
         return proved or self._proof(price, 0.0 if slack else price, self.anything)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower values, [cap, nodes], to a checked sub-solution of the pricing problem.
+        """Prove a dual bound from a given value function, [cap, nodes].
 
-        The sweep starts from the lower bound beyond the cap and subtracts the rounding error of
-        every backup. Infinite values give the best bound; the proof then also holds the choice that
-        attains this bound, if the choice can be followed by a forward sweep.
+        A backward sweep lowers the values to a sub-solution. It starts from the lower bound beyond
+        the cap, and subtracts the rounding error of every backup. Infinite values give the best
+        bound. Then the proof also has the choice that attains the bound, if a forward sweep can
+        follow it.
 
         Raises:
             ModelError: values have the wrong shape.
@@ -285,14 +298,15 @@ class LayeredPricing(PricingProblem):
         return self._proof(price, 0.0 if slack else price, values, choice)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Return an upper bound of the dual bound's error by the cap; 0 if tails are optimal.
+        """Return an upper bound of the error of a dual bound that is due to the cap.
 
-        The error is the difference at the start between two bounds: with the values of the tail
-        policies beyond the cap, and with the lower bound there. The choice of the second bound
-        gives an upper bound of this error: its mass beyond the cap times the difference there.
+        Two sweeps differ in the values beyond the cap: those of the tail policies, or their lower
+        bound. The error is the difference of their results at the start. It is at most the mass
+        that the second sweep's choice takes beyond the cap, times the difference there; 0 if the
+        tail policies are optimal.
 
         Args:
-            price: of failure.
+            price: price of failure.
             slack: as in :meth:`check`.
             proof: a proof at this price; if its bound is as high, the loss is 0.
         """
@@ -317,7 +331,14 @@ class LayeredPricing(PricingProblem):
     def _proof(
         self, price: float, failing: float, values: FloatArray, choice: IntArray | None = None
     ) -> Proof:
-        """Lower values layer by layer, starting from the bound beyond the cap."""
+        """Reduce values to a checked sub-solution, by a backward sweep from bounds beyond the cap.
+
+        Args:
+            price: price of failure.
+            failing: the price, or 0 for the form ``cost - price * goal`` (:class:`Proof`).
+            values: upper limits of the result, [cap, nodes].
+            choice: filled with the choice that attains the bound, [cap, nodes], or None.
+        """
         priced = at_price(self.sweep, price, failing, bounds=True)
         bounds, kept = self.sweep.bound(priced, values, choice)
         work = bellman.Work(self.process.cap, 0)
@@ -342,14 +363,17 @@ class CompiledLayered(CompiledProblem):
     """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), within a failure budget.
 
     With the total cost as charge and a ratio this is case S (paper, section 3.1.1). The layers of
-    accumulated cost end where the charge becomes affine, since the optimal tail is then known in
-    closed form. If the affine charge grows, they end at the price from which failing is optimal in
-    every state where it is possible for sure. A charge that never becomes affine is truncated and
-    refined.
+    accumulated cost end at a cap, which depends on the charge:
 
-    Simple tails consist of any policy to the goal and the trivial bound of its goal probability.
-    With a cap at that price they cause (almost) no error. The exact policies of greatest goal
-    probability are computed only if the price is too large for such a cap.
+    - Where the charge becomes affine, the optimal tail policy is known in closed form.
+    - If the affine charge grows, the cap is at least the price of failure: beyond it, failing is
+      optimal in every state where the goal can surely be avoided.
+    - A charge that never becomes affine is truncated, and the cap is raised by refinement.
+
+    Simple tails are any policy to the goal and one of least goal probability, with 1 as the upper
+    bound of the goal probability. With a cap at the price of failure they cause (almost) no error.
+    The exact tails, of greatest goal probability, are computed only if the price is too large for
+    such a cap.
     """
 
     facts: GoalFacts
@@ -368,16 +392,16 @@ class CompiledLayered(CompiledProblem):
 
         Args:
             model: the model.
-            start: [states].
-            discount: None: exact.
-            caps: ``cap`` or ``fixed_cap``.
+            start: distribution over states, [states].
+            discount: the discount, or None.
+            caps: the fields ``cap`` or ``fixed_cap`` of the problem.
         """
         facts = GoalFacts(model, start, discount)
         return cls(facts, LayerAndTails(facts), tails=Tails.ANY_WAY, **caps)
 
     @cached_property
     def lowest(self) -> float:
-        """Lower bound of the objective: in case S, least number of steps times least cost."""
+        """Lower bound of the objective: in case S, least number of steps times least step cost."""
         if not (self.charge.is_the_total and self.ratio) or self.layer.by_sums:
             return self.charge.lowest
         model, start, base = self.facts.model, self.facts.start, self.layer.base
@@ -399,19 +423,19 @@ class CompiledLayered(CompiledProblem):
 
     @property
     def _grows(self) -> bool:
-        """Whether failing becomes optimal at some total, since the charge grows without end."""
+        """Whether the charge is unbounded, so that failing becomes optimal at some total."""
         return self.charge.slope > 0.0 and not self.layer.safest_only
 
     @cached_property
     def is_trial(self) -> bool:
-        """Whether the cap is a guess to find the price."""
+        """Whether the cap is a guess: the problem only finds the price that gives the next cap."""
         if self.cap is not None or self.fixed_cap is not None or not self._grows:
             return False
         return self.layer.by_sums or not self._has_exact_tails
 
     @cached_property
     def is_long_shot(self) -> bool:
-        """Whether the policy to the goal takes too many steps to give a cap."""
+        """Whether runs of the easily found policy to the goal are too long to give a cap."""
         layer, facts = self.layer, self.facts
         is_guess = self.cap is None and self.fixed_cap is None and self.tails is Tails.ANY_WAY
         if not is_guess or layer.base.quotient.merged.any():
@@ -427,15 +451,15 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def _has_exact_tails(self) -> bool:
-        """Whether the tails are (stated or necessary) the policies of least failure."""
+        """Whether the tails are the policies of least failure, by request or by necessity."""
         merged = self.layer.base.quotient.merged
         return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self.is_long_shot
 
     def capped_at(self, cost: float) -> CompiledLayered:
-        """Return the problem with a cap of about this accumulated cost, if its tails are simple.
+        """Return the problem with a cap near a given cost; a problem with exact tails is unchanged.
 
-        If no policy surely avoids the goal from the start, every cap changes the optimum. Then the
-        tails become exact at once.
+        If no policy surely avoids the goal from the start, simple tails would change the optimum at
+        every cap. Then the result has exact tails.
         """
         if self.tails is not Tails.ANY_WAY:
             return self
@@ -469,7 +493,7 @@ class CompiledLayered(CompiledProblem):
         return LayeredProcess(base, totals, tails, self.charge)
 
     def _first_cap(self) -> float:
-        """Return the first cap: the layers that are needed in any case, and a guess of more."""
+        """Return the first cap, in units: the layers that are always needed, plus a guess."""
         layer, facts, settled = self.layer, self.facts, self.charge.settled
         if self.fixed_cap is not None:
             return max(layer.units(self.fixed_cap), 1)
@@ -495,7 +519,10 @@ class CompiledLayered(CompiledProblem):
         return needed + first
 
     def _settled_units(self) -> float:
-        """Return the total, in units, from which the charge is affine or the tail optimal."""
+        """Return the total, in units, from which the charge is affine.
+
+        For an exponential utility it is the total from which the stationary tail is optimal.
+        """
         layer, settled, least = self.layer, self.charge.settled or 0.0, 1.0
         if layer.by_sums:  # so that total 0 has a layer
             dearest = float(step_costs(self.facts.model)[1].max())
@@ -509,9 +536,9 @@ class CompiledLayered(CompiledProblem):
         return max(layers_within(settled, layer.base.exact_unit), 1)
 
     def lossless_units(self, price: float) -> float:
-        """Return the total from which failing is optimal at this price, with a margin.
+        """Return the total, in units, from which failing is optimal at a price, with a margin.
 
-        If the charge becomes constant, this is the total from which it is constant.
+        If the charge becomes constant, it is the total from which the charge is constant.
         """
         charge, settled = self.charge, self._settled_units()
         if charge.slope == 0.0:
@@ -520,7 +547,11 @@ class CompiledLayered(CompiledProblem):
         return max(settled, self.layer.units(CAP_MARGIN * charge.lossless(price)) + room)
 
     def refined(self, price: float) -> CompiledLayered | None:
-        """Return the problem with more layers or better tails; None: nothing to improve."""
+        """Return the problem with more layers or exact tails; None: neither would improve it.
+
+        Args:
+            price: price of failure at the optimum of this problem.
+        """
         layer, here, exact = self.layer, self.process.end, self._has_exact_tails
         if self.fixed_cap is not None:
             return None if exact else replace(self, tails=Tails.LEAST_FAILURE)
@@ -551,7 +582,7 @@ class CompiledLayered(CompiledProblem):
         return replace(self, cap=wanted, tails=tails)
 
     def charging(self, charge: Charge, cap: float | None = None) -> CompiledLayered:
-        """Return the problem with another charge and cap; both charges are not exponential."""
+        """Return the problem with another charge and cap; neither charge may be exponential."""
         return replace(self, charge=charge, cap=cap)
 
     def safest(self) -> CompiledLayered:
@@ -559,21 +590,20 @@ class CompiledLayered(CompiledProblem):
         return replace(self, layer=self.layer.safest, cap=None)
 
     def for_program(self) -> CompiledLayered:
-        """Return the problem with exact tails, the best beyond the cap in any program."""
+        """Return the problem with exact tails: its explicit process has the problem's optimum."""
         if self._has_exact_tails:
             return self
         exact = replace(self, tails=Tails.LEAST_FAILURE)
         return replace(exact, cap=exact.process.end)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledLayered:
-        """Return the problem with as many layers as the value function, [layers, nodes].
+        """Return the problem with as many layers as a value function.
 
-        Tails that are not exact become the riskiest policy alone; :meth:`for_program` has exact
-        tails.
+        Simple tails are replaced by the policy of least goal probability alone.
 
         Args:
-            values: the value function.
-            levels: layer totals of a policy found with it, of which the last is the cap.
+            values: the value function, [layers, nodes].
+            levels: totals of the layers of a policy found with it, of which the last is the cap.
 
         Raises:
             ModelError: the array has too few or too many layers for the charge.
@@ -608,10 +638,11 @@ class CompiledLayered(CompiledProblem):
         return replace(self, cap=end)
 
     def least_failure(self) -> LeastFailure:
-        """Return the policy of least charge with least failure; it may remember the cost.
+        """Return the policy of least charge among those of least failure.
 
-        For the mean of the total cost nothing must be remembered: a transition to x' is priced
-        ``g * Pmax(x')`` (mathematics, section 4).
+        It may remember the accumulated cost. If the charge is the total cost itself, a policy
+        without memory is optimal: a transition of cost g to x' is charged ``g * Pmax(x')``
+        (mathematics, section 4).
 
         Raises:
             ModelError: its runs have so many zero-cost steps that rounding errors add up.
@@ -662,9 +693,12 @@ class CompiledLayered(CompiledProblem):
         return written_out.materialise(self.process)
 
     def explicit_choice(self, column: Column) -> IntArray:
-        """Return the column's pairs: in all layers, in the tails, and at the source."""
+        """Return a column's pair in each state of the explicit process, [states].
+
+        States are the nodes of all layers, those of the tails, and the source.
+        """
         return written_out.chosen_pairs(self.process, required(column.choice), column.tail_price)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Return the error of a bound by the cap; 0 if there is proved to be none."""
+        """Return an upper bound of the error of a dual bound that is due to the cap."""
         return self.pricing().tail_loss(price, slack=slack, proof=proof)

@@ -1,8 +1,8 @@
-"""Compiled problems: a process, its limits and the ways to refine it, and the facts they share.
+"""Compiled problems: a process, the limits on it, and how to make the process finer.
 
-:class:`CompiledExplicit` has any number of rows: case M on states x failure label, and any charge
-of the accumulated cost in layers. ``compiled_layers`` has problems whose only limit is on failure;
-they need no explicit process.
+:class:`CompiledExplicit` has any number of limits: case M on states x failure label, or any charge
+of the accumulated cost on layers. ``compiled_layers`` has problems whose only limit is on failure,
+which need no explicit process.
 """
 
 from __future__ import annotations
@@ -77,15 +77,15 @@ class LeastFailure:
 
     @property
     def is_proved(self) -> bool:
-        """Whether the least failure is proved up to the tolerance of a budget."""
+        """Whether the least failure is proved to within the tolerance of budgets."""
         return self.column.failure - self.proved <= LEAST_BUDGET
 
 
 @dataclass(frozen=True, eq=False)
 class GoalFacts:
-    """Extreme goal probabilities of a model, and policies that attain them; each computed once.
+    """Greatest and least goal probabilities of a model, and policies that attain them.
 
-    A compiled problem and its copies share this object.
+    Each is computed once. A compiled problem and its copies share this object.
     """
 
     model: SSP
@@ -94,7 +94,7 @@ class GoalFacts:
 
     @cached_property
     def survival(self) -> float:
-        """The discount, 1 in the exact setting."""
+        """Factor of every transition probability: the discount, or 1 without one."""
         return survival_of(self.discount)
 
     @cached_property
@@ -124,7 +124,7 @@ class GoalFacts:
 
     @cached_property
     def directed(self) -> goal_reach.ReachPolicy:
-        """A policy whose every step may come nearer to the goal."""
+        """A policy each of whose steps comes nearer to the goal with positive probability."""
         return goal_reach.goal_directed(self.model, self.survival)
 
     @cached_property
@@ -141,7 +141,11 @@ class GoalFacts:
 
 
 class CompiledProblem(ABC):
-    """A problem compiled for methods: a process, a charge, rows and perhaps a ratio."""
+    """A problem compiled for column generation: a process, an objective and limits.
+
+    The objective is an expected cost or an expected charge of the total cost, or its ratio to the
+    goal probability.
+    """
 
     facts: GoalFacts  # of the model, the start and the discount
     ratio: bool  # whether the objective is cost / (1 - failure) (case S) rather than cost (case M)
@@ -155,12 +159,12 @@ class CompiledProblem(ABC):
     @property
     @abstractmethod
     def is_trial(self) -> bool:
-        """Whether this problem only serves to find the price, which determines its size."""
+        """Whether the cap is a guess: the problem only finds the price that gives the next cap."""
 
     @property
     @abstractmethod
     def is_long_shot(self) -> bool:
-        """Whether the first cap is only a guess: case M gives a better one (``capped_at``)."""
+        """Whether the first cap is so poor a guess that case M should give a better one."""
 
     @property
     @abstractmethod
@@ -178,7 +182,7 @@ class CompiledProblem(ABC):
         """Number of columns of the linear program."""
 
     def capped_at(self, cost: float) -> Self:
-        """Return the problem with a cap of about this accumulated cost, if ``is_long_shot``."""
+        """Return the problem with a cap near a given accumulated cost, if it may have one."""
         return self
 
     @abstractmethod
@@ -186,11 +190,11 @@ class CompiledProblem(ABC):
         """Return the policy of least failure, which decides whether the problem is feasible."""
 
     def proved_failure(self, reach: goal_reach.GoalReach, failure: float) -> float:
-        """Return a lower bound of the failure of every policy.
+        """Return a certified lower bound of the failure of every policy.
 
         Args:
-            reach: the greatest goal probability.
-            failure: failure of the safest policy.
+            reach: the greatest goal probability, with its bound.
+            failure: failure of the safest policy, which the result does not exceed.
         """
         facts = self.facts
         proved = reach.least_failure(facts.start)
@@ -201,7 +205,7 @@ class CompiledProblem(ABC):
         return min(proved, failure)
 
     def failure_at_least(self, discount: float | None) -> float:
-        """Return the least failure of all policies under a discount."""
+        """Return the least failure of all policies, discounted if a discount is given."""
         model, start = self.facts.model, self.facts.start
         reach = goal_reach.greatest_goal_reach(model, survival_of(discount), start).goal
         return max(1.0 - float(start @ reach), 0.0)
@@ -211,7 +215,7 @@ class CompiledProblem(ABC):
         """Return the pricing problem."""
 
     def counting_rare_success(self, budget: float | None) -> Self:
-        """Return the problem, with the goal as reward instead of failure if success is rare.
+        """Return the problem that counts the goal instead of failure if success is rare.
 
         Args:
             budget: failure budget; None: as low as possible.
@@ -219,7 +223,7 @@ class CompiledProblem(ABC):
         return self
 
     def for_program(self) -> Self:
-        """Return the problem whose explicit process has the optimum of this problem."""
+        """Return the problem in a form whose explicit process has the same optimum."""
         return self
 
     @abstractmethod
@@ -244,22 +248,22 @@ class CompiledProblem(ABC):
 
     @abstractmethod
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> Self:
-        """Return the problem whose value functions have the shape of the given one.
+        """Return the problem with as many layers as a given value function has.
 
         Args:
             values: the value function.
-            levels: layer totals of a policy found with it; None: multiples of a unit.
+            levels: totals of the layers of a policy found with it; None: multiples of a unit.
 
         Raises:
             ModelError: no compiled problem has such value functions.
         """
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Return the error of a bound at this price by truncation.
+        """Return an upper bound of the error of a dual bound that is due to the cap.
 
         Args:
-            price: of failure.
-            slack: whether the bound is of ``cost - price * goal`` (:class:`Proof`).
+            price: price of failure of the dual bound.
+            slack: whether it bounds ``cost - price * goal`` (:class:`Proof`).
             proof: a proof at this price, which may save work.
         """
         return 0.0
@@ -272,14 +276,14 @@ def unreachable(
     discount: float | None,
     why: str = "no cost given success exists",
 ) -> InfeasibleError:
-    """Return the error of a problem whose goal cannot be reached.
+    """Return the InfeasibleError of a problem whose goal cannot be reached.
 
     Args:
         model: the model.
-        start: [states].
-        budget: failure budget.
-        discount: of the problem.
-        why: the consequence.
+        start: distribution over states, [states].
+        budget: failure budget of the problem, or None.
+        discount: discount of the problem, or None.
+        why: the end of the message: why the problem therefore has no solution.
     """
     words = goal_out_of_reach(model, start) or "the goal cannot be reached from the start"
     return InfeasibleError(
@@ -317,9 +321,9 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
     if proved <= budget:
         kind = "discounted failure" if discounted else "failure probability"
         raise SolverError(
-            f"the feasibility of the budget {budget:g} is not decided: the least {kind} is "
-            f"proved to lie between {proved:.12g} and {failure:.12g} only, as runs are too long "
-            f"for double precision; use a budget of at least {failure:.12g}"
+            f"the budget {budget:g} may be infeasible: the least {kind} is only proved to lie "
+            f"between {proved:.12g} and {failure:.12g}, because runs are too long for double "
+            f"precision; use a budget of at least {failure:.12g}"
         )
     told = f"at least {proved:.12g}, above the budget {budget:g}"
     if f"{proved:.12g}" != f"{failure:.12g}":
@@ -353,7 +357,7 @@ MOST_ENTRIES = 800_000_000
 
 
 class Tails(Enum):
-    """Kinds of policies that a layered problem follows beyond its cap."""
+    """Kinds of stationary policies that a run follows once its cost has passed the cap."""
 
     LEAST_FAILURE = "the policies of greatest and of least goal probability"
     ANY_WAY = "a policy to the goal that is cheap to find, or failing"
@@ -371,10 +375,10 @@ _LEAST = 1e-12  # relative rounding of the goal probability that all safest poli
 
 @dataclass(frozen=True, eq=False)
 class LayerAndTails:
-    """One layer of the accumulated cost, and the policies beyond the cap.
+    """The pattern of one layer of accumulated cost, and the tail policies beyond the cap.
 
-    Problems that differ in their cap share this object. Problems that differ in their charge share
-    it too, unless the charge is an exponential utility, which has tails of its own.
+    All layers have this pattern, so problems that differ only in their cap share the object. So do
+    problems that differ in their charge, except exponential utilities, which have other tails.
     """
 
     facts: GoalFacts
@@ -387,7 +391,7 @@ class LayerAndTails:
 
     @cached_property
     def safest(self) -> LayerAndTails:
-        """The layer with only the pairs of greatest goal probability."""
+        """The same object with only the pairs that attain the greatest goal probability."""
         return replace(self, safest_only=True)
 
     @cached_property
@@ -401,10 +405,11 @@ class LayerAndTails:
 
     @cached_property
     def guess(self) -> tuple[float, float] | None:
-        """Approximate (E[cost; goal], goal) of a policy to the goal, in a large process.
+        """Approximate E[cost; goal] and goal probability of a policy to the goal; None: not needed.
 
-        There an evaluation would take longer than a sweep. The tail beyond the cap is then the
-        riskiest policy; if this causes an error, the cap is raised or the tails become exact.
+        They replace an exact evaluation in large processes, where it would take longer than a
+        sweep. Then the tail beyond the cap is the policy of least goal probability. If this causes
+        an error, the cap is raised or the tails become exact.
         """
         base, later = self.base, self.base.later
         is_large = base.instant.nnz == 0 and later.nnz >= _LARGE
@@ -419,7 +424,7 @@ class LayerAndTails:
 
     @cached_property
     def moments(self) -> goal_reach.ReachPolicy | None:
-        """The tail of an exponential utility; None: another charge."""
+        """The tail policy of an exponential utility; None for any other charge."""
         if self.utility is None:
             return None
         model, greatest = self.facts.model, self.facts.greatest
@@ -437,7 +442,7 @@ class LayerAndTails:
 
     @cached_property
     def exact_tails(self) -> LayeredTails:
-        """The tails of least failure, or of greatest moment."""
+        """The optimal tails: of least failure, or of greatest moment for exponential utilities."""
         facts, at, moments = self.facts, self.base.quotient.least_over_members, self.moments
         first = facts.safest if moments is None else moments
         last, least, least_cost = first, np.zeros(facts.model.n_states), None
@@ -450,7 +455,7 @@ class LayerAndTails:
 
     @cached_property
     def simple_tails(self) -> LayeredTails:
-        """A policy to the goal, and the riskiest policy."""
+        """Tails that are quick to find: a policy to the goal, and one of least goal probability."""
         facts, guess = self.facts, self.guess
         first = facts.riskiest if guess else facts.directed
         return self.tails(first, facts.riskiest, facts.least.bound, exact=False, guess=guess)
@@ -464,13 +469,13 @@ class LayerAndTails:
         exact: bool = True,
         **more: Any,
     ) -> LayeredTails:
-        """Return tails with bounds of the goal probability of every policy.
+        """Return two tail policies, with bounds of the goal probability of every policy.
 
         Args:
             first: a policy to the goal.
             last: a policy that fails.
             least: lower bound of the goal probability, [states].
-            exact: whether the upper bound is that of the safest policies, or the trivial one.
+            exact: whether the upper bound is the greatest goal probability, rather than 1.
             more: further fields of the tails.
         """
         facts, at = self.facts, self.base.quotient.least_over_members
@@ -512,8 +517,9 @@ _CLEARLY = 1e-9  # share of a budget, or of the goal it demands, that exceeds ro
 class CompiledExplicit(CompiledProblem):
     """Minimise a cost with limits on failure and other quantities; budget None: least failure.
 
-    Without a charge this is case M (paper, section 3.1.2), without truncation. With a charge of the
-    total cost (section 3.1.1) the objective is E[charge; goal], or E[charge | goal] if ``ratio``.
+    Without a charge this is case M (paper, section 3.1.2), which needs no layers of accumulated
+    cost. With a charge of the total cost (section 3.1.1) the objective is E[charge; goal], or
+    E[charge | goal] if ``ratio``.
     """
 
     facts: GoalFacts
@@ -538,7 +544,7 @@ class CompiledExplicit(CompiledProblem):
     is_whole: ClassVar[bool] = True  # whether other problems on the model can be solved here
 
     def counting_rare_success(self, budget: float | None) -> Self:
-        """Return the problem, with the goal as reward instead of failure if success is rare.
+        """Return the problem that counts the goal instead of failure if success is rare.
 
         This avoids cancellation in ``1 - failure`` and in limits on the probability of ends.
         """
@@ -552,7 +558,7 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def may_be_rare(self) -> bool:
-        """Whether rows may make success rare, and failure is counted rather than success."""
+        """Whether success may be rare, so that counting it instead of failure is more precise."""
         is_greatest = self.semantics.aim is Aim.GREATEST_GOAL and self.objective is None
         is_free = self.ratio and self.budget is not None and self._demanded == 0.0
         return (is_greatest or is_free) and not self.by_goal
@@ -564,7 +570,7 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def sense(self) -> ObjectiveSense:
-        """Relation between the minimum and the objective that the user asked for."""
+        """Relation between the minimised value and the stated objective."""
         shift = 0.0 if self.charge is None else max(-self.charge.lowest, 0.0)
         if self.objective is not None:
             return ObjectiveSense(None, shift, self.objective.offset)
@@ -595,16 +601,16 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _demanded(self) -> float:
-        """Least goal probability that the budget requires; 0: none."""
+        """Least goal probability that the budget requires; 0 without a budget."""
         return 0.0 if self.budget is None else max(demanded_goal(self.budget), 0.0)
 
     @cached_property
     def least(self) -> LeastFailure:
-        """The policy of least failure; InfeasibleError: it violates the budget."""
+        """The policy of least failure; raises InfeasibleError if it violates the budget."""
         return checked_least_failure(self, self.budget)
 
     def least_failure(self) -> LeastFailure:
-        """Return the policy of greatest goal probability, then of least cost."""
+        """Return the cheapest policy among those of greatest goal probability."""
         facts, greatest = self.facts, self.facts.greatest_from_start
         self.check_sure()
         how = facts.model, facts.start, self.semantics, facts.discount
@@ -643,21 +649,25 @@ class CompiledExplicit(CompiledProblem):
         )
 
     def _least_failure_alone(self) -> float:
-        """Return the least failure probability, computed when the error's attribute is read."""
+        """Return the least failure probability of the model.
+
+        An InfeasibleError calls this only when its attribute is read.
+        """
         model, start = self.facts.model, self.facts.start
         with limited(READING, "the least failure probability was computed"):
             return max(1.0 - goal_reach.greatest_goal_from(model, start), 0.0)
 
     @property
     def limits_failure(self) -> bool:
-        """Whether there is a failure budget that some policy may violate."""
+        """Whether there is a failure budget below 1."""
         return self.budget is not None and self._demanded > 0.0
 
     def settled(self, *known: Column) -> CompiledExplicit:
-        """Return the problem of least failure if the budget does not exceed it, else this problem.
+        """Return this problem, or that of least failure if the budget equals the least failure.
 
         Args:
-            known: columns, of which one may lie clearly within the budget.
+            known: known columns. If one is clearly within the budget, the least failure is not
+                computed.
 
         Raises:
             InfeasibleError: the budget is below the least failure by more than rounding; case S,
@@ -679,7 +689,7 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def greatest_goal(self) -> float:
-        """Upper bound of the goal probability, discounted under a discount."""
+        """Upper bound of every policy's goal probability (discounted, with a discount)."""
         reach = self.facts.greatest_from_start
         return float(self.facts.start @ np.maximum(reach.goal, reach.bound))
 
@@ -698,7 +708,7 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def augmented(self) -> FailureLabelled | written_out.OpenEnded:
-        """The process, with end components collapsed that are free in all rewards."""
+        """The process; end components that add nothing to any reward are collapsed."""
         facts = self.facts
         if self.priced is not None:
             return cast("FailureLabelled | written_out.OpenEnded", self.priced.augmented)
@@ -713,7 +723,7 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def is_rounded(self) -> bool:
-        """Whether totals are rounded, so that values differ from those on the model."""
+        """Whether totals are rounded: then values on the process differ from those on the model."""
         return self.totals is not None and not self.totals.exact
 
     @cached_property
@@ -727,11 +737,13 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _room(self) -> int:
-        """Most layers that fit into memory."""
+        """Greatest number of layers that fits into memory."""
         return max(_ROOM // max(len(self.base.gain), 1), 2)  # levels
 
     def pricing(self) -> ExplicitPricing | OpenEndedPricing:
-        """Return the pricing problem with a price for each row: by layers if this is faster.
+        """Return the pricing problem, with a price for each row.
+
+        It is solved by backward sweeps over layers or by policy iteration, whichever is faster.
 
         Raises:
             InfeasibleError: failing is forbidden and cannot be avoided.
@@ -752,7 +764,7 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _is_swept(self) -> bool:
-        """Whether pricing is by layers: large processes without free pairs."""
+        """Whether pricing is by backward sweeps: in large processes without zero-cost steps."""
         if self.charge is None or self.base.by_steps or self.base.instant.nnz > 0:
             return False
         return self.base.later.nnz >= _WORTH_SWEEPING
@@ -785,14 +797,14 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def base(self) -> AccumulatedCost:
-        """One layer of the process; ModelError: there is no charge."""
+        """One layer of the process; raises ModelError if there is no charge."""
         if self.layer is None:
             raise ModelError("a problem without a charge has no layers of accumulated cost")
         return (self.layer if self.budget is not None else self.layer.safest).base
 
     @cached_property
     def layers(self) -> int:
-        """Number of layers; 1 without a charge. ModelError: too many to write out."""
+        """Number of layers; 1 without a charge. Raises ModelError if there are too many."""
         if self.charge is None:
             return 1
         layers = self.cap if self.totals is None else self.totals.size
@@ -803,9 +815,10 @@ class CompiledExplicit(CompiledProblem):
         return layers
 
     def with_tails(self, *, exact: bool) -> CompiledExplicit:
-        """Return the problem with optimal tails beyond its cap or, for speed, simple ones.
+        """Return the problem with optimal tail policies beyond its cap or, for speed, simple ones.
 
-        Tails become simple only if failing is optimal beyond the cap, where they matter little.
+        Simple tails are used only if failing becomes optimal beyond the cap, where tails matter
+        little.
         """
         grows = self.charge is not None and self.charge.slope > 0.0
         if exact == self.exact_tails or not (exact or (grows and self._is_swept)):
@@ -815,14 +828,15 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _most_pairs(self) -> int:
-        """Most pairs of all layers together."""
+        """Greatest number of pairs, over all layers together."""
         return _MOST_SWEPT if self._is_swept else written_out.MOST_WRITTEN
 
     def refined(self, price: float) -> CompiledExplicit | None:
-        """Return the problem with more layers; None: it has the most already.
+        """Return the problem with more layers or optimal tails; None: it cannot be improved.
 
         Args:
-            price: price of failure, which is the accumulated cost from which failing is optimal.
+            price: price of failure at the optimum of this problem. Failing is optimal from this
+                accumulated cost on.
         """
         if self.charge is None:
             return None
@@ -850,7 +864,11 @@ class CompiledExplicit(CompiledProblem):
         return replace(self, cap=wanted, is_trial=False, priced=None)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledExplicit:
-        """Return the problem with as many layers as a value function, or raise ModelError."""
+        """Return the problem with as many layers as a value function.
+
+        Raises:
+            ModelError: the shape is not [(layers + 1) * nodes + 1].
+        """
         if self.charge is None or self.resolution is not None:
             return self
         nodes = self.base.n_nodes
@@ -867,12 +885,15 @@ class CompiledExplicit(CompiledProblem):
         return replace(self, resolution=resolution, layer=layer, priced=None)
 
     def bounded(self, budget: float | None, side: tuple[UpperRow, ...]) -> CompiledExplicit:
-        """Return the problem with other bounds; the process is shared if its tails are final."""
+        """Return the problem with other bounds.
+
+        The pricing problem is shared, unless a later refinement may change its tails.
+        """
         priced = self.pricing() if self.with_tails(exact=False) is self else None
         return replace(self, budget=budget, side=side, priced=priced)
 
     def charging(self, charge: Charge) -> CompiledExplicit:
-        """Return the problem with another charge, whose arrivals lie on the lattice of costs."""
+        """Return the problem with another charge, whose thresholds are possible total costs."""
         return replace(self, charge=charge, cap=None, priced=None)
 
     @property

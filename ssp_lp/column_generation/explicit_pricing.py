@@ -1,17 +1,21 @@
 """The pricing problem of an explicit process, solved by policy iteration.
 
-If the price of a row is 0, end components that add only to that row are free in the pricing
-problem: staying in one for ever would have a lower priced cost than any policy that leaves. Such
-policies are excluded, because their expected total of that row is infinite. Free end components are
-contracted (``processes.explicit_process``), and policy iteration never finds a policy that stays:
+A policy *leaves* if it ends every run, by the goal or by failure. If the price of a row is 0, an
+end component that adds only to that row is free: staying in it for ever would have a lower priced
+cost than any policy that leaves. Policies that stay are excluded, because their expected total of
+that row is infinite. In exact arithmetic, policy iteration that starts at a policy that leaves
+never finds a policy that stays:
 
-Let v be the values of a policy that leaves, and pi a policy that takes a pair of strictly smaller
-``c + P v`` in some states and the pair of the first policy elsewhere, so that v >= c_pi + P_pi v.
-If pi had a closed class, with stationary distribution m, then m (v - c_pi - P_pi v) = -m c_pi <= 0,
-so that no pair of the class was changed, and the first policy would not leave: hence pi leaves. If
-no pair is strictly smaller, v <= c_u + P_u v for every pair u, and iterating this along any policy
-that leaves shows that v is a lower bound of its priced cost. In exact arithmetic this needs no
-contraction; in floating point, rounding can make a free cycle look like an improvement.
+- Let v be the values of a policy that leaves. Let pi be a policy that takes a pair of strictly
+  smaller ``c + P v`` in some states, and the first policy's pair elsewhere: v >= c_pi + P_pi v.
+- Suppose that pi has a closed class, with stationary distribution m. Then m (v - c_pi - P_pi v) =
+  -m c_pi <= 0, so no pair of the class was changed, and the first policy would stay in it, too.
+  This is a contradiction, so pi leaves.
+- If no pair is strictly smaller, v <= c_u + P_u v for every pair u. Iterating this along any policy
+  that leaves shows that v is a lower bound of its priced cost.
+
+In floating point, rounding can make a free cycle look like an improvement. Free end components are
+therefore contracted to one state each (``processes.explicit_process``).
 """
 
 from __future__ import annotations
@@ -70,8 +74,8 @@ _NONE = Work()
 class ExplicitPricing(PricingProblem):
     """Minimises the cost of a process at a price of failure, or at a weight of each reward.
 
-    A price is the number of ``PricingProblem`` or, with rows other than the failure row, the
-    weights of cost, failure and all rows, >= 0, [rewards].
+    The argument ``price`` is a price of failure or an array of weights: of cost, failure and all
+    further rows, >= 0, [rewards].
     """
 
     augmented: FailureLabelled | OpenEnded | LastLayer  # the process, and its map to the model
@@ -108,9 +112,9 @@ class ExplicitPricing(PricingProblem):
 
     @cached_property
     def _leaving(self) -> IntArray:
-        """A policy that leaves from every state, to the goal if possible, [states].
+        """A policy that ends every run, at the goal where possible, [states].
 
-        Under a time limit this policy may be the answer: it then avoids risk.
+        With a time limit it avoids the risk of dead-ends, because it may become the answer.
         """
         if self.begun_from is not None:
             return self.begun_from
@@ -119,7 +123,7 @@ class ExplicitPricing(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[states] of the explicit process."""
+        """Shape of value functions: [states] of the explicit process."""
         return (self.process.n_states,)
 
     def incumbent(self, reached: Any) -> Column | None:
@@ -127,19 +131,19 @@ class ExplicitPricing(PricingProblem):
         return None if reached is None else self.measure(reached)
 
     def first(self) -> Column:
-        """Return the column of a policy that leaves and takes a shortest way to the goal."""
+        """Return the column of a policy that takes a shortest way to the goal where possible."""
         return self._first
 
     @cached_property
     def _first(self) -> Column:
-        """The column of the policy that leaves."""
+        """The column of :attr:`_leaving`, the policy from which a first pricing call starts."""
         return self.measure(self._leaving)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Return a column of least priced cost, by policy iteration, evaluated exactly.
 
-        End components that are free at the price are contracted first: without this, rounding could
-        lead to policies that stay.
+        End components that are free at the price are contracted first. Otherwise rounding could
+        lead to policies that stay in them for ever.
         """
         weights = pricing_weights(price)
         choice, guess = self._begun(weights, warm)
@@ -166,7 +170,15 @@ class ExplicitPricing(PricingProblem):
     def _begun(
         self, weights: FloatArray, warm: Sequence[Column | None]
     ) -> tuple[IntArray, FloatArray | None]:
-        """Return a policy to start from, [states], and its approximate totals."""
+        """Return a policy from which policy iteration starts, and its approximate totals.
+
+        Args:
+            weights: weights of the rewards, [rewards].
+            warm: known columns, whose policies are combined.
+
+        Returns:
+            The policy, [states], and totals, [states, rewards], or None.
+        """
         columns = [c for c in warm if c is not None and c.choice is not None]
         if not columns:
             return self._leaving, None
@@ -186,7 +198,10 @@ class ExplicitPricing(PricingProblem):
         return choice, np.stack(totals)[follows, np.arange(len(choice))]
 
     def contracted(self, weights: FloatArray) -> Contraction | None:
-        """Return the process with free end components contracted, cached; None: there are none."""
+        """Return the contraction of end components that are free at weights; None: there are none.
+
+        Contractions are cached by the set of nonzero weights.
+        """
         priced = weights != 0.0
         key = priced.tobytes()
         if key not in self._known:
@@ -209,20 +224,20 @@ class ExplicitPricing(PricingProblem):
         """Return the column of a policy, evaluated by a sparse linear solve.
 
         Args:
-            choice: [states].
-            work: the work of finding it.
-            found_at: a price at which it is optimal.
+            choice: pair of each state, [states].
+            work: the work of finding the policy.
+            found_at: a price of failure at which the policy is optimal, or None.
         """
         totals = evaluate_policy(self.dynamics, choice, self.rewards)
         return self._column(choice, totals.values, work=work + Work(1, 0), found_at=found_at)
 
     def _column(self, choice: IntArray, totals: FloatArray, **more: Any) -> Column:
-        """Return the column of a choice with these totals."""
+        """Return the column of a choice with known totals, [states, rewards]."""
         figures = expected(self.process.start, totals)
         return Column.of_figures(figures, choice, by_goal=self.by_goal, totals=totals, **more)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
-        """Prove a dual bound from the values of a policy of least priced cost."""
+        """Prove a dual bound from the values of ``best``, a policy of least priced cost."""
         column = best if best.totals is not None else self.minimise(price, best)
         values = weighted(required(column.totals), pricing_weights(price))
         return self.check(price, values, choice=column.choice)
@@ -240,7 +255,16 @@ class ExplicitPricing(PricingProblem):
         slack: bool = False,
         choice: IntArray | None = None,
     ) -> Proof:
-        """Lower values, [states], to a checked sub-solution, and return its bound.
+        """Prove a dual bound from a given value function.
+
+        The values are lowered until no backup decreases them: then they bound the priced cost of
+        every policy from below.
+
+        Args:
+            price: price of failure, or the weight of each reward, [rewards].
+            values: near-optimal values, [states].
+            slack: has no effect here.
+            choice: a policy of about these values, which may save work, [states].
 
         Raises:
             ModelError: values have the wrong shape.
@@ -254,12 +278,12 @@ class ExplicitPricing(PricingProblem):
     def lowered(
         self, weights: FloatArray, values: FloatArray, choice: IntArray | None = None
     ) -> DualBound:
-        """Lower weighted totals to a checked sub-solution.
+        """Return checked lower bounds of the weighted totals of every policy, near given values.
 
         Args:
-            weights: of the rewards, >= 0, [rewards].
+            weights: weights of the rewards, >= 0, [rewards].
             values: near-optimal values, [states].
-            choice: a policy of about these values that leaves, [states].
+            choice: a policy of about these values that ends every run, [states], or None.
         """
         priced = weighted(self.rewards, weights)
         size = weighted(np.abs(self.rewards), np.abs(weights))
@@ -270,22 +294,23 @@ class ExplicitPricing(PricingProblem):
     def check_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> float:
-        """Return the certified bound at the start minus the amount that every episode pays."""
+        """Return the bound of :meth:`lowered_less` at the start of the process."""
         return self.lowered_less(weights, ratio, paid, values).at(self.process.start)
 
     def lowered_less(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> DualBound:
-        """Return a checked sub-solution of the totals minus the amount that every episode pays.
+        """Return checked lower bounds of the weighted totals minus a constant.
 
-        Up to rounding this is ``check`` minus ``paid``. Here the difference is summed directly,
-        without cancellation, and is exact if nothing else is paid.
+        The constant, ``paid``, is what every episode pays when it ends. Up to rounding the result
+        is ``check`` minus ``paid``. Here the difference is summed over the steps, without
+        cancellation: the price of failure ``ratio`` is replaced by a reward of success.
 
         Args:
-            weights: of the rewards, >= 0, without the ratio, [rewards].
-            ratio: the price of failure in the ratio, here a reward of success.
-            paid: amount paid at every end.
-            values: lower values of the weighted totals, [states].
+            weights: weights of the rewards, >= 0, without the ratio, [rewards].
+            ratio: price of failure due to the ratio of case S.
+            paid: amount that every episode pays at its end.
+            values: lower bounds of the weighted totals, including ``ratio``, [states].
         """
         process, cost, counted = self.process, self.augmented.own_cost, weights.copy()
         counted[1] += ratio
@@ -296,7 +321,7 @@ class ExplicitPricing(PricingProblem):
         return bound_of(process, self.contracted(counted), left, values)
 
     def pulled_back(self, column: Column) -> Policy:
-        """Return the policy of a column's choice, on the original states."""
+        """Translate the choice of a column to a policy on the states of the model."""
         return self.augmented.policy(required(column.choice))
 
 
@@ -304,9 +329,9 @@ def costs_less_earned(own: FloatArray, costs: FloatArray, earned: FloatArray) ->
     """Return ``costs - earned``, [pairs], rounded down where the difference is not exact.
 
     Args:
-        own: the part of the costs that is exact, [pairs].
-        costs: [pairs].
-        earned: non-negative, [pairs].
+        own: the costs without prices, which were not rounded, [pairs].
+        costs: priced costs, [pairs].
+        earned: reward of reaching the goal, >= 0, [pairs].
     """
     left = costs - earned
     summed = (left != own) & (left != -earned)
@@ -320,11 +345,13 @@ def values_less_paid(values: FloatArray, paid: float) -> FloatArray:
 
 
 def _noise(weights: FloatArray, columns: Sequence[Column | None]) -> float:
-    """Return the largest improvement that may be rounding, since costs and earnings cancel.
+    """Return the largest improvement of a priced cost that may be due to rounding.
+
+    It is positive only if weighted rewards of both signs cancel.
 
     Args:
-        weights: of the rewards, [rewards].
-        columns: known columns; the first that is evaluated gives the size of the summands.
+        weights: weights of the rewards, [rewards].
+        columns: known columns; the first with all rewards gives the size of the summands.
     """
     measured = (column for column in columns if column is not None)
     known = next((column for column in measured if len(column.figures) == len(weights)), None)

@@ -1,9 +1,9 @@
-"""The pricing problem of layers of accumulated cost with any rows, solved by backward sweeps.
+"""The pricing problem on layers of accumulated cost, with any limits, solved by backward sweeps.
 
-Every step costs something, so that each layer depends on later ones only. Beyond the cap lies one
-last layer with cycles, solved by policy iteration; one sweep from there prices all layers and
-evaluates the choice in each row. A choice is the position of a pair among the pairs of its node,
-[layers, nodes], in the smallest integer type that holds it.
+Every step has a positive cost, so each layer depends only on later ones. One last layer stands for
+all totals beyond the cap; it has cycles, and is solved by policy iteration. One backward sweep from
+there prices all layers and evaluates the policy in each row. A *choice*, [layers, nodes], has the
+position of a pair among the pairs of its node, in the smallest integer type that holds it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LONG_RUNS = 1e6  # steps beyond the cap from which the rounding of goal probabi
 class OpenEndedPricing(PricingProblem):
     """Minimises weighted totals of cost, failure and rows; see :class:`ExplicitPricing`.
 
-    No pair of a layer is free, and totals are multiples of a unit.
+    All steps have a positive cost, and totals are multiples of a unit.
     """
 
     augmented: OpenEnded
@@ -47,7 +47,7 @@ class OpenEndedPricing(PricingProblem):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        """[(cap + 1) * nodes + 1], as of the explicit process."""
+        """Shape of value functions: [(cap + 1) * nodes + 1], for all layers and the source."""
         return ((self.augmented.cap + 1) * self.augmented.base.n_nodes + 1,)
 
     @cached_property
@@ -63,14 +63,14 @@ class OpenEndedPricing(PricingProblem):
 
     @cached_property
     def _at_source(self) -> FloatArray:
-        """Rewards of an episode before its first step, [rewards]."""
+        """Expected rewards of episodes that end where they begin, [rewards]."""
         layered = self.augmented
         cost = layered.start_charge + layered.shift_of_ends[1]
         ending = -layered.base.start_goal if self.by_goal else layered.base.start_failure
         return np.array([cost, ending, *(at for _, at in self.rows)])
 
     def first(self) -> Column:
-        """Return the column of the policy that leaves the last layer, followed in all layers."""
+        """Return the column of a policy to the goal that ignores the accumulated cost."""
         return self._swept(self._beyond.first(), None)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
@@ -79,7 +79,10 @@ class OpenEndedPricing(PricingProblem):
         return self._swept(self._tail(weights, *warm), weights)
 
     def taken_on(self, columns: Sequence[Column]) -> list[Column]:
-        """Return columns of fewer layers, evaluated here: their tails fill the new layers."""
+        """Return columns of a process with fewer layers, re-evaluated for this process.
+
+        In the additional layers they act as they did beyond the lower cap.
+        """
         first, tails, known = self.sweep.first_pairs, dict[Column | None, Column](), list[Column]()
         for column in columns:
             choice, old = required(column.choice), column.beyond
@@ -93,9 +96,10 @@ class OpenEndedPricing(PricingProblem):
         return known
 
     def true_cost(self, column: Column) -> float | None:
-        """Return the cost with the exact charge beyond the cap.
+        """Return the exact cost of a column, with the true charge of totals beyond the cap.
 
-        None: it is not affine there, or runs are so long that rounded costs of steps add up.
+        The result is None if the charge is not affine beyond the cap, or if runs are so long that
+        rounding errors of their step costs add up.
         """
         layered, last = self.augmented, column.beyond
         if last is None or layered.shift > 0.0 or not layered.is_settled:
@@ -116,11 +120,12 @@ class OpenEndedPricing(PricingProblem):
         return float((figures + self._at_source)[0])
 
     def _swept(self, last: Column, weights: FloatArray | None) -> Column:
-        """Return the column that the sweep finds in front of a tail.
+        """Return the column that a backward sweep finds, given the policy beyond the cap.
 
         Args:
-            last: the tail beyond the cap, with its totals.
-            weights: of the rewards that the layers minimise, [rewards]; None: follow the tail.
+            last: the policy of the last layer, with its totals.
+            weights: weights of the rewards to minimise, [rewards]; None: all layers act as the
+                last one.
         """
         totals, position = required(last.totals), required(last.choice) - self.sweep.first_pairs
         measures = ahead_of(self.augmented, totals)
@@ -130,9 +135,10 @@ class OpenEndedPricing(PricingProblem):
         return Column.of_figures(figures, choice, by_goal=self.by_goal, **kept)
 
     def _tail(self, weights: FloatArray, *warm: Column | None) -> Column:
-        """Return the tail at the weights: optimal if exact, else the better of two policies.
+        """Return a policy of the last layer for the weights: optimal, or the better of two.
 
-        With weight 0 of the cost (phase 1: feasibility) it is always optimal.
+        It is optimal if ``exact_tails``, or if the cost has weight 0 (phase 1). Otherwise the two
+        policies are one to the goal and one that is optimal if failing is free.
         """
         if self.exact_tails or weights[0] == 0.0:
             return self._best_beyond(weights, *warm)
@@ -141,11 +147,11 @@ class OpenEndedPricing(PricingProblem):
 
     @cached_property
     def _fails_early(self) -> Column:
-        """The tail of least cost at price 0 of failure."""
+        """The policy of the last layer that is optimal at price 0 of failure."""
         return self._beyond.minimise(np.eye(1, self.n_rewards)[0])
 
     def _best_beyond(self, weights: FloatArray, *warm: Column | None) -> Column:
-        """Return an optimal tail at the weights, a known one if possible."""
+        """Return an optimal policy of the last layer, one of the warm columns if possible."""
         known = [c.beyond for c in warm if c is not None and c.beyond is not None]
         for last in dict.fromkeys(known):
             if self._beyond.is_best(last, weights):
@@ -153,11 +159,11 @@ class OpenEndedPricing(PricingProblem):
         return self._beyond.minimise(weights, *known)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
-        """Prove the best dual bound of one sweep."""
+        """Prove the best dual bound at a price, by one backward sweep."""
         return self._proved(pricing_weights(price), self.anything, best)
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower values, [states], to a checked sub-solution; infinite values give the best.
+        """Prove a dual bound from values, [states]; infinite values give the best bound.
 
         Raises:
             ModelError: values have the wrong shape.
@@ -166,9 +172,12 @@ class OpenEndedPricing(PricingProblem):
         return self._proved(pricing_weights(price), values, None)
 
     def _proved(self, weights: FloatArray, values: FloatArray, best: Column | None) -> Proof:
-        """Lower values to a checked sub-solution; return it as a proof.
+        """Return the dual bound that values prove, after lowering them where necessary.
 
-        If the values are infinite, ``best``, a (nearly) optimal policy, saves work.
+        Args:
+            weights: weights of the rewards, [rewards].
+            values: near-optimal or infinite values, [states].
+            best: a nearly optimal column, which saves work if values are infinite, or None.
         """
         last = self._beyond.lowered(weights, self._asked_beyond(values, weights, best)).rounded
         beyond, price = ahead_of(self.augmented, last), float(weights[1])
@@ -184,7 +193,7 @@ class OpenEndedPricing(PricingProblem):
     ) -> float:
         """Return the certified bound at the start minus the amount that every episode pays.
 
-        See :meth:`ExplicitPricing.check_less`.
+        It is the bound of :meth:`ExplicitPricing.lowered_less`, by one backward sweep.
         """
         layered, base, counted = self.augmented, self.augmented.base, weights.copy()
         counted[1] += ratio
@@ -199,7 +208,10 @@ class OpenEndedPricing(PricingProblem):
 
     @cached_property
     def _less_paid(self) -> Sweep:
-        """The sweeps with the goal as a further reward, and without the shift of ends."""
+        """The backward sweeps for :meth:`check_less`: with the goal as one more reward.
+
+        They do not add the constant by which ends are shifted.
+        """
         goal = self.augmented.base.survival * self.augmented.base.gain
         counted = np.append(self.sweep.counted, goal[:, None], axis=1)
         return replace(self.sweep, counted=counted, on_top=None)
@@ -207,7 +219,7 @@ class OpenEndedPricing(PricingProblem):
     def _asked_beyond(
         self, values: FloatArray, weights: FloatArray, best: Column | None = None
     ) -> FloatArray:
-        """Return the values beyond the cap; if infinite, the values of an optimal policy."""
+        """Return the given values of the last layer or, if infinite, those of an optimal policy."""
         self.check_shape(values)
         beyond = values[self.augmented.cap * self.augmented.base.n_nodes : -1]
         if np.isfinite(beyond).all():
@@ -217,13 +229,13 @@ class OpenEndedPricing(PricingProblem):
     def _lowered(
         self, sweep: Sweep, priced: Priced, values: FloatArray, last: FloatArray
     ) -> tuple[float, FloatArray]:
-        """Return the bound at the start and the lowered values behind it, [states].
+        """Return the certified bound at the start, and the lower bounds of all states, [states].
 
         Args:
-            sweep: over the layers.
-            priced: weights of the layers' rewards, and lower bounds of the values beyond the cap.
-            values: upper limits of the lowered values, [states].
-            last: the same lower bounds for the states of the last layer, [nodes].
+            sweep: the backward sweeps.
+            priced: weights of the rewards, and lower bounds of the values beyond the cap.
+            values: upper limits of the lower bounds, [states].
+            last: lower bounds of the values in the last layer, [nodes].
         """
         layered = self.augmented
         given = values[:-1].reshape(layered.cap + 1, layered.base.n_nodes)
@@ -234,16 +246,16 @@ class OpenEndedPricing(PricingProblem):
         return bound, np.concatenate([kept.ravel(), last, [bound]])
 
     def pulled_back(self, column: Column) -> Policy:
-        """Return the cost-aware policy of a column's choice."""
+        """Translate the choice of a column to a policy of the model that remembers the cost."""
         chosen = self.augmented.base.pair_offsets[:-1] + required(column.choice)
         return self.augmented.policy(chosen.ravel())
 
 
 def open_sweep(table: OpenEnded, rows: Sequence[FloatArray], *, by_goal: bool) -> Sweep:
-    """Return the sweeps over an open-ended table that count failure (or minus the goal) and rows.
+    """Return the backward sweeps over layers that evaluate cost, failure and further rows.
 
     Args:
-        table: the layers.
+        table: the layers and the last layer beyond the cap.
         rows: the further rewards, [pairs] each.
         by_goal: whether minus the goal replaces failure.
     """
@@ -254,7 +266,10 @@ def open_sweep(table: OpenEnded, rows: Sequence[FloatArray], *, by_goal: bool) -
 
 
 def ahead_of(table: OpenEnded, beyond: FloatArray) -> FloatArray:
-    """Repeat values beyond the cap for each layer that a step can reach, [layers, nodes, ...]."""
+    """Return values of the last layer, repeated for each layer that one step can reach beyond it.
+
+    The shape is [layers, nodes, ...].
+    """
     return np.broadcast_to(beyond, (table.base.width - 1, *beyond.shape))
 
 
@@ -265,14 +280,14 @@ def swept(
     totals: FloatArray,
     measures: FloatArray,
 ) -> tuple[IntArray, FloatArray]:
-    """Return a choice over an open-ended table, [layers + 1, nodes], and its totals, [rewards].
+    """Return the choice of a backward sweep, [layers + 1, nodes], and its totals, [rewards].
 
     Args:
-        sweep: over the layers.
-        last: positions of the pairs taken beyond the cap, [nodes].
-        weights: of the rewards that the layers minimise, [rewards]; None: take ``last`` everywhere.
-        totals: lower bounds of the totals beyond the cap, [nodes, rewards].
-        measures: exact totals in each layer there, [layers, nodes, rewards].
+        sweep: the backward sweeps.
+        last: positions of the pairs taken in the last layer, [nodes].
+        weights: weights of the rewards to minimise, [rewards]; None: take ``last`` everywhere.
+        totals: totals of the last layer that the sweep minimises with, [nodes, rewards].
+        measures: exact totals in each layer beyond the cap, [layers, nodes, rewards].
     """
     choice = sweep.room_for_choice(sweep.process.cap + 1)
     choice[-1 if weights is not None else slice(None)] = last

@@ -15,9 +15,10 @@ The simplex method starts from one policy:
 - If elastic, the policy of least violation with the excesses of the rows that it violates is a
   primal feasible basis: primal steps follow.
 
-Steps of the other kind repair infeasibility caused by rounding. A basis is small (one variable more
-than there are rows), so each step recomputes its inverse. If steps cycle, the preference of the
-entering variable changes; if cycling continues, the basis of least infeasibility is taken.
+If rounding makes the basis infeasible, steps of the other kind repair it. A basis is small (one
+variable more than there are rows), so each step recomputes its inverse. If steps cycle, the rule
+that chooses the entering variable changes. If cycling continues, the basis of least infeasibility
+is returned.
 
 The final basis is checked for primal feasibility, relative to each bound, and for dual feasibility.
 If either fails, because a limit is tiny compared with the activities, exact steps in fractions
@@ -58,7 +59,10 @@ _MOST_STEPS = 10_000  # in fractions, where Bland's rule excludes cycles
 
 @dataclass(frozen=True, eq=False)
 class MasterOptimum:
-    """Weights of the policies and prices of the rows; at most (tight rows + 1) weights are > 0."""
+    """An optimum of the restricted master: weights of the policies and prices of the rows.
+
+    At most one weight more than there are tight rows is positive.
+    """
 
     value: float
     weights: FloatArray  # [columns]
@@ -113,7 +117,11 @@ def solve_master(
 
 @dataclass(frozen=True, eq=False)
 class _Program:
-    """The restricted master, unscaled. Variables: policies, excesses if elastic, slacks."""
+    """The restricted master before scaling, for exact checks and steps.
+
+    Its variables are, in this order: the weights of the policies, the excesses of the rows (if
+    elastic), and the slacks of the rows.
+    """
 
     cost: FloatArray  # [columns]
     activity: FloatArray  # [rows, columns]
@@ -127,7 +135,7 @@ class _Program:
         return MasterOptimum(value, weights, prices, excess)
 
     def is_settled(self, optimum: MasterOptimum) -> bool:
-        """Return whether an optimum is primal and dual feasible, each relative to its size."""
+        """Return whether an optimum is primal and dual feasible, within relative tolerances."""
         weights, prices = optimum.weights, optimum.prices
         over = self.activity @ weights - self.bounds - optimum.excess * self.scales
         if not (over <= _KEPT * np.abs(self.bounds)).all():
@@ -138,10 +146,10 @@ class _Program:
         return bool(optimum.value - least <= _KEPT * abs(optimum.value))
 
     def solved_in_fractions(self, basis: list[int]) -> MasterOptimum | None:
-        """Solve the program by simplex steps in fractions; None: it is infeasible.
+        """Solve the program by simplex steps in fractions; None: no optimal basis was found.
 
         Args:
-            basis: variables to begin with, [rows + 1].
+            basis: indices of the variables of the first basis, [rows + 1].
         """
         n_rows, n_columns = self.activity.shape
         granted = self.bounds + _ROOM * np.abs(self.bounds)
@@ -189,7 +197,7 @@ class _Program:
         return costs + [Fraction(0)] * n_rows
 
     def _first_basis(self, granted: FloatArray) -> list[int]:
-        """Return the starting basis of one policy with slacks or excesses, [rows + 1]."""
+        """Return the starting basis: one policy, with slacks or excesses, [rows + 1]."""
         n_rows, n_columns = self.activity.shape
         beyond = self.activity - granted[:, None]
         over = (np.maximum(beyond, 0.0) / self.scales[:, None]).sum(axis=0)
@@ -218,7 +226,10 @@ class ExactSimplex:
         return _solved([self.entries[j] for j in basis], [self.cost[j] for j in basis])
 
     def solved(self, basis: Sequence[int]) -> list[int] | None:
-        """Return an optimal basis; None: none exists, or the first is infeasible on both sides."""
+        """Return an optimal basis, [rows], by simplex steps from a given basis.
+
+        The result is None if there is none, or if a basis is neither primal nor dual feasible.
+        """
         basis = list(basis)
         for _ in range(_MOST_STEPS):
             try:
@@ -304,7 +315,7 @@ def _by_simplex(
         try:
             inverse = np.asarray(np.linalg.inv(square), dtype=np.float64)
         except np.linalg.LinAlgError as error:
-            raise SolverError("a basis of the restricted master is singular") from error
+            raise SolverError("limits differ too much in size: scale the quantities") from error
         values, x = _refined(inverse, square, right), np.zeros(cost.size)
         x[basis] = np.maximum(values, 0.0)
         dual = _refined(inverse.T, square.T, cost[basis])
@@ -338,7 +349,10 @@ def _by_simplex(
 
 
 def _least_ratio(over: FloatArray, under: FloatArray, able: BoolArray) -> int:
-    """Ratio test: return the index of the least ratio; among ties, of the largest divisor."""
+    """Return the index of the least ``over / under`` among the entries of ``able`` (ratio test).
+
+    Among equal ratios it is the index of the largest divisor.
+    """
     ratio = np.where(able, np.maximum(over, 0.0), np.inf) / np.where(able, under, 1.0)
     return int(np.lexsort((-under, ratio))[0])
 

@@ -2,8 +2,8 @@
 
 1. The **restricted master** finds the best lottery of known columns within the limits; its duals
    are the prices of the limits.
-2. The **pricing problem** finds the policy that minimises cost plus priced limits: the column of
-   least **reduced cost** (``minimise`` of a
+2. The **pricing problem** finds the policy of least cost plus price times limited quantity: the
+   column of least **reduced cost** (``minimise`` of a
    :class:`~ssp_lp.column_generation.column.PricingProblem`).
 3. A column of negative reduced cost enters the master. Without one the search **stops**: the least
    priced cost minus the sum of price times bound is a lower bound of the optimum (Lagrange).
@@ -24,10 +24,10 @@ instead of the cost.
 Between two pricing calls the master minimises ``cost + ratio * failure`` with the ratio of its
 last lottery, until the ratio stops falling (Dinkelbach 1967).
 
-**The first columns of one limit** lie on both sides of it, and only pricing finds them: a high
-price of failure gives a policy that satisfies the budget, and the price rises until one does.
-The least failure itself, which takes two stages, is computed only if this fails because the budget
-is near the least failure or below it.
+**The first columns**, if failure is the only limit, are found by pricing: one satisfies the budget,
+one violates it. The price of failure rises until a policy satisfies the budget. If no price gives
+such a policy, the budget is near the least failure or below it. Only then is the least failure
+computed, which takes two stages.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _NEVER = 1e-14  # a goal probability this small is a rounded 0
 
 @dataclass(frozen=True, eq=False)
 class Generated:
-    """Result of column generation: the best lottery of columns, and the prices of its bound."""
+    """Result of column generation: the best lottery, a lower bound, and the prices that give it."""
 
     columns: tuple[Column, ...]
     weights: FloatArray  # [columns]
@@ -76,7 +76,7 @@ class Generated:
 
     @property
     def price(self) -> float:
-        """Price of failure: the price of the first limit, in case S plus the ratio."""
+        """Price of failure: the price of the first limit; in case S plus the ratio."""
         return float(self.prices[:1].sum()) + self.ratio
 
     @property
@@ -106,7 +106,7 @@ class Generated:
         return float(self.figures[0]) / goal if goal > never else np.inf
 
     def lottery(self, pricing: PricingProblem) -> MixedPolicy:
-        """Return the lottery over policies of the model."""
+        """Return the lottery as a mixed policy on the model."""
         return MixedPolicy(tuple(pricing.policy(column) for column in self.columns), self.weights)
 
 
@@ -188,10 +188,10 @@ class Master:
     _since: float = field(default_factory=time.perf_counter)
 
     def begin_at_bound(self, budget: float) -> None:
-        """Set the prices and the bound by a column that is known to be optimal.
+        """Set the price and the lower bound from columns that are optimal at a known price.
 
         Args:
-            budget: of failure, the only limit.
+            budget: failure budget, the only limit.
         """
         for column in self.pool.columns:
             if (price := column.found_at) is None or self.rows.by_goal:
@@ -202,11 +202,11 @@ class Master:
             self.bound = column.cost + price * column.failure - owed
 
     def seek(self, tolerance: float) -> Column | None:
-        """Solve the master and price a column at the next prices.
+        """Solve the master, then the pricing problem at its prices or at a mean of prices.
 
         Returns:
-            The column, or None if no pricing is needed: the limits are satisfied in phase 1, or the
-                gap is small.
+            The column found. None if the search is finished without a pricing call: phase 1
+            satisfies the limits, or the gap is small.
         """
         self.solve()
         best, own = self.optimum.value, self.optimum.prices
@@ -233,7 +233,15 @@ class Master:
         return self.last
 
     def learn(self, column: Column, tolerance: float) -> bool:
-        """Update the bound, add a column of negative reduced cost; return whether to stop."""
+        """Update the bound by a priced column, and add the column if its reduced cost is negative.
+
+        Args:
+            column: the column that :meth:`seek` found.
+            tolerance: relative gap.
+
+        Returns:
+            Whether the search is finished.
+        """
         own, settled = self.optimum.prices, _NEAR * tolerance * self.size
         best, near, several = self.optimum.value, settled, len(own) > 1
         beyond = column.figures[self.rows.index] - self.rows.bounds
@@ -255,7 +263,7 @@ class Master:
         return finished
 
     def solve(self) -> None:
-        """Find the best lottery of the pool, in case S by Dinkelbach's iteration."""
+        """Compute the best lottery of the pool's columns, in case S by Dinkelbach's iteration."""
         rows, columns, figures = self.rows, self.pool.columns, self.pool.figures
         for _ in range(_RATIOS):
             cost, taken = figures[0] + self.rows.ratio * figures[1], figures[rows.index]
@@ -299,7 +307,11 @@ class Master:
         )
 
     def _begin_at_larger_ratio(self) -> bool:
-        """Raise the ratio to the attained or a steeper ratio; return whether to stop."""
+        """Raise the ratio to that of the lottery; return whether the search must stop.
+
+        While no lottery reaches the goal, the ratio is multiplied by a factor; beyond a limit the
+        search stops.
+        """
         attained, steeper = self.objective, self.rows.ratio * _STEEP_RATIO
         self._first_ratio = self._first_ratio or max(self.rows.ratio, 1.0)
         if not np.isfinite(attained) and steeper > _STEEPEST * self._first_ratio:
@@ -309,7 +321,7 @@ class Master:
         return False
 
     def _price_success_at(self, ratio: float) -> None:
-        """Change the ratio and lower the bound, still valid since failure is at most 1."""
+        """Change the ratio, and lower the bound so that it stays valid: failure is at most 1."""
         rise = ratio - self.rows.ratio
         self.bound -= max(rise if self.rows.by_goal else -rise, 0.0)
         self.rows = replace(self.rows, ratio=ratio)
@@ -317,13 +329,13 @@ class Master:
     def _prove_on_the_way(
         self, limit: FailureRow, weights: FloatArray, best: Column, began: float
     ) -> None:
-        """Prove the bound at the weights if this takes a small share of the search time.
+        """Prove an intermediate bound, if proofs take only a small share of the search time.
 
         Args:
             limit: the failure row.
-            weights: of the rewards, [rewards].
+            weights: weights of the rewards at which the bound is proved, [rewards].
             best: an optimal policy at these weights.
-            began: the start of its pricing call, by ``time.perf_counter``.
+            began: time at which the pricing call of ``best`` began, by ``time.perf_counter``.
         """
         now = time.perf_counter()
         if now - began < _LONG or self._spent > _SHARE * (now - self._since):
@@ -338,8 +350,10 @@ class Master:
 def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOptimum:
     """Solve the restricted master of at most one limit in closed form.
 
-    Among all lines through a column within the limit and one beyond it, the lowest at the bound is
-    an edge of the lower convex hull. If no line falls, the cheapest column within is the optimum.
+    Plot each column at (value in the limit, cost). Consider all lines through a column within the
+    limit and one beyond it. The line that is lowest at the bound is an edge of the lower convex
+    hull, and its two columns are the optimal lottery. If no line falls, the cheapest column within
+    the limit is optimal.
 
     Args:
         cost: [columns].
@@ -370,15 +384,15 @@ def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOpt
 
 
 def certified(master: Master, row: FailureRow, generated: Generated, tolerance: float) -> Generated:
-    """Return the result of a search whose only row is failure, with a certified bound.
+    """Return the result of a search whose only limit is on failure, with a certified bound.
 
-    Without time for a proof the best intermediate one is used, or the bound -inf with infinite
-    values, which a later certificate lowers.
+    If there is no time to prove the final bound, the best intermediate bound is used. Without one
+    the bound is -inf, with infinite values, from which a later certificate can prove a bound.
 
     Args:
-        master: of the search.
+        master: the final master of the search.
         row: the failure row.
-        generated: its result.
+        generated: result of the search.
         tolerance: relative gap.
     """
     pricing, pool, best = master.pool.pricing, master.pool, generated.objective
@@ -421,10 +435,10 @@ class DualGuess:
 
 
 def master_at(pool: Pool, row: FailureRow, *known: Column | None) -> Master:
-    """Return the master of one failure row, over columns of which one satisfies it.
+    """Return the restricted master whose only limit is a failure budget.
 
     Args:
-        pool: the work of finding the columns; updated in place.
+        pool: receives the columns; updated in place.
         row: the budget and the form of the objective.
         known: first columns, of which the first satisfies the budget; None entries are ignored.
     """
@@ -441,12 +455,13 @@ def master_at(pool: Pool, row: FailureRow, *known: Column | None) -> Master:
 def columns_by_pricing(
     compiled: CompiledProblem, row: FailureRow, guess: DualGuess | None, options: SolveOptions
 ) -> Master | None:
-    """Return a master whose columns lie on both sides of the budget, found by pricing.
+    """Find first columns by pricing, on both sides of the failure budget.
 
-    The price rises while the columns violate the budget, and falls while they satisfy it.
+    The price of failure rises while the columns violate the budget, and falls while they satisfy
+    it.
 
     Args:
-        compiled: makes the pricing problem.
+        compiled: the problem.
         row: the budget and the form of the objective.
         guess: a first price; None: a multiple of the first policy's cost.
         options: deadline and progress callback, called after each pricing call.
@@ -455,7 +470,7 @@ def columns_by_pricing(
         Stop: the time limit was reached before a column satisfied the budget.
 
     Returns:
-        None if no column satisfies the budget.
+        The master of these columns; None if no column satisfies the budget.
     """
     last, dearest, doing = None, 0.0, "the process was being built"
     with deadline.WithIncumbent() as search:
@@ -520,12 +535,12 @@ def columns_by_pricing(
 def _initial_column_within(
     pricing: PricingProblem, row: FailureRow, stop: BaseException, *candidates: Column | None
 ) -> Column:
-    """Return the best known column within the budget after a stop.
+    """Return the best known column within the budget, when the time limit stopped the search.
 
     Args:
-        pricing: the stopped pricing problem.
+        pricing: the pricing problem that was being solved.
         row: the budget.
-        stop: the exception that stopped it.
+        stop: the exception that stopped it, with the policy reached.
         candidates: known columns; None entries are ignored.
 
     Raises:
@@ -533,7 +548,7 @@ def _initial_column_within(
     """
 
     def is_answer(column: Column) -> bool:
-        """Return whether a column is a policy within the budget and of finite objective."""
+        """Return whether a column has a policy, a finite objective, and failure within budget."""
         is_policy = column.choice is not None or column.policy is not None
         has_worth = row.objective(column.cost, column.goal) < np.inf
         return is_policy and has_worth and not row.breaks(column)
@@ -547,7 +562,7 @@ def _initial_column_within(
     if not answers:
         least_failure = min((column.failure for column in columns), default=1.0)
         raise deadline.Stop(
-            told=f"the safest policy known by then fails with {least_failure:.6g}"
+            told=f"the safest policy found fails with probability {least_failure:.6g}"
         ) from stop
     return min(answers, key=lambda column: row.objective(column.cost, column.goal))
 
@@ -560,14 +575,14 @@ def lottery_within(
     ratio: bool,
     luck: float = 0.0,
 ) -> Generated | None:
-    """Return the best lottery of evaluated columns within the rows.
+    """Return the best lottery within the rows over given columns; no further column is priced.
 
     Args:
-        pricing: made the columns.
-        columns: evaluated on the model, which may differ from the process.
+        pricing: the pricing problem that found the columns.
+        columns: columns with their rewards on the model, which may differ from the process.
         rows: the limited rows.
         ratio: whether the objective is a cost given success.
-        luck: a goal probability this small is a rounded 0.
+        luck: a goal probability of at most this counts as 0.
 
     Returns:
         None if no lottery satisfies the rows and, if ``ratio``, reaches the goal.
@@ -593,21 +608,21 @@ def lottery_within(
 def without_negligible_prices(
     prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
 ) -> FloatArray:
-    """Return the prices with negligible ones set to 0, [rows].
+    """Return the prices, [rows], with those set to 0 that hardly affect the objective.
 
     Args:
         prices: [rows].
-        sizes: size of each row, [rows]. For prices that prove a bound, the size is the most that a
-            policy takes of the row, which may exceed the row's bound.
-        objective: to compare price times size with.
-        trifle: share of the objective that is negligible.
+        sizes: size of each row, [rows]: its bound or, for prices that prove a lower bound, the
+            largest value of a policy in the row.
+        objective: a price is negligible if price times size is at most a share of this.
+        trifle: the share.
     """
     return np.where(prices * sizes <= trifle * abs(objective), 0.0, prices)
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The limited rows: positions, bounds and scales."""
+    """The rows that have a bound: their positions among the rewards, bounds and scales."""
 
     index: IntArray  # [rows] position among the pricing problem's rewards
     bounds: FloatArray  # [rows]
@@ -618,13 +633,18 @@ class Rows:
 
     @classmethod
     def of_failure(cls, row: FailureRow, pricing: PricingProblem) -> Rows:
-        """Return the failure row as the only row, or no row if the budget excludes no policy."""
+        """Return the failure row as the only row; no row if the budget is 1."""
         bounds = np.full(int(row.demanded > 0.0), -row.demanded if pricing.by_goal else row.budget)
         ones = np.ones(len(bounds))
         return cls(ones.astype(np.int64), bounds, ones, pricing.n_rewards, pricing.by_goal)
 
     def weights(self, prices: FloatArray, cost: float = 1.0) -> FloatArray:
-        """Return the weight of each reward, [rewards], from the prices of the rows and of cost."""
+        """Return the weight of each reward, [rewards].
+
+        Args:
+            prices: prices of the rows, [rows].
+            cost: weight of the cost; 0 in phase 1.
+        """
         weights = np.zeros(self.n_rewards)
         weights[self.index] = prices
         weights[0] = cost
@@ -649,7 +669,10 @@ class Pool:
         return np.stack(tuple(map(attrgetter("figures"), self.columns)), axis=1)
 
     def sizes(self, rows: Rows) -> FloatArray:
-        """Return the size of each row, [rows]: the largest of its bound and the columns' values."""
+        """Return the size of each row, [rows].
+
+        It is the largest absolute value of the row's bound and of the columns' values in the row.
+        """
         taken = np.abs(self.figures[rows.index]).max(axis=1, initial=0.0)
         return np.asarray(np.maximum(np.abs(rows.bounds), taken))
 
@@ -661,9 +684,8 @@ class Pool:
         """Solve the pricing problem at the weights, starting from known columns.
 
         Args:
-            weights: of the rewards, [rewards].
-            warm: columns to start from; None entries are ignored. Without any, the best column of
-                the pool.
+            weights: weights of the rewards, [rewards].
+            warm: columns to start from, by default the pool's best one; None entries are ignored.
         """
         began = time.perf_counter()
         try:
@@ -674,7 +696,11 @@ class Pool:
         return column
 
     def first_ratio(self, lottery: Generated) -> float:
-        """Return a positive first ratio of case S: of a lottery, or the largest of a column."""
+        """Return a positive first ratio for case S.
+
+        It is the cost given success of a lottery or, if that is infinite or 0, the largest finite
+        one among the columns.
+        """
         attained = lottery.given_success
         if np.isfinite(attained) and attained > 0.0:
             return attained
@@ -694,7 +720,9 @@ class Pool:
         return True
 
     def rows(self, index: IntArray, bounds: FloatArray) -> Rows:
-        """Return rows with scales: the bound, or the columns' largest value if the bound is 0.
+        """Return the limited rows, with scales for phase 1.
+
+        A scale is the absolute bound or, if that is 0, the columns' largest value in the row.
 
         Args:
             index: positions of the limited rows among the rewards, [rows].

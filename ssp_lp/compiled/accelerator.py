@@ -106,10 +106,9 @@ def _load() -> bool:
 def accelerated(entries: float, *loops: str) -> bool:
     """Return whether compiled loops replace a numpy expression.
 
-    Each loop is judged separately. First the numpy twin runs. Once it has run for about the time
-    that loading the loop from numba's cache (or compiling it) takes, the loop is loaded or
-    compiled. So the total time is at most doubled. For compiling, the entries of earlier processes
-    count as well.
+    At first the numpy twin of a loop runs. The loop is loaded from numba's cache, or compiled, once
+    its twin has run for about as long as this takes. The total time is therefore at most doubled.
+    For compiling, the work of earlier processes counts as well. Each loop is judged separately.
 
     Args:
         entries: number of entries of the expression.
@@ -124,7 +123,7 @@ def accelerated(entries: float, *loops: str) -> bool:
 
 
 def may_compile(loop: str) -> bool:
-    """Return whether numba may compile a loop that it has not compiled for the given types."""
+    """Return whether numba may compile a loop now, for the argument types of this call."""
     if os.environ.get(SWITCH, "") == "numba" or _frames.depth == 0 or _loops.is_due(loop):
         _announce_compiling()
         return True
@@ -133,7 +132,7 @@ def may_compile(loop: str) -> bool:
 
 
 class NotCompiledError(Exception):
-    """Error for a loop that is not compiled for these types, and must not be compiled now.
+    """Error for a loop that is not compiled for the types of a call, and must not be now.
 
     Args:
         loop: name of the loop.
@@ -145,15 +144,16 @@ class NotCompiledError(Exception):
 
 
 def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Restart a function with a numpy twin if one of its loops must not be compiled.
+    """Return a function that starts again with numpy if a loop in it must not be compiled.
 
-    The function calls ``accelerated`` for each of its loops, and changes none of its inputs before
-    the first loop has run.
+    Args:
+        function: a function that calls ``accelerated`` for each of its loops, and changes none of
+            its inputs before the first loop has run.
     """
 
     @wraps(function)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        """Run the function, and restart it for each loop that must not be compiled now."""
+        """Run the function, again for each loop that must not be compiled now."""
         refused = set[str]()
         while True:
             _frames.depth += 1
@@ -171,7 +171,7 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
 
 
 class _Frames(threading.local):
-    """Number of running functions with a twin, by thread."""
+    """Number, by thread, of running functions that ``with_twin`` wraps."""
 
     depth = 0
 
@@ -209,7 +209,7 @@ def _interrupts_deferred() -> Iterator[None]:
 
 
 class _Loops:
-    """State of each compiled loop, which affects speed only."""
+    """State of all compiled loops; it affects the speed of results only."""
 
     def __init__(self) -> None:
         self.running = set[str]()  # in use in this process
@@ -223,7 +223,7 @@ class _Loops:
         self.places: list[Path] | None = None  # folders of numba's cache; None: not known yet
 
     def is_worth(self, loop: str, entries: float) -> bool:
-        """Return whether a loop should run compiled, given the entries that it processes now."""
+        """Return whether a loop should run compiled, and count the entries of this call."""
         if loop in self.running:
             return True
         if self.places is None:
@@ -246,20 +246,24 @@ class _Loops:
         return worth
 
     def is_due(self, loop: str) -> bool:
-        """Return whether to compile a loop: its twin took as long, and enough time is left."""
+        """Return whether to compile a loop.
+
+        Its twin must have run for as long as compiling takes, and enough time must be left.
+        """
         passed = self.passed.get(loop, 0.0) + _EARLIER * self.earlier.get(loop, 0.0)
         return passed >= _COMPILED and seconds_left() >= _COMPILING
 
     def refuse(self, loop: str) -> None:
-        """Use the twin of a loop until its compilation is due."""
+        """Run the twin of a loop from now on, until it is time to compile the loop."""
         self.running.discard(loop)
         self.cached.discard(loop)
 
     def _record(self) -> None:
-        """Add the processed entries to the record beside the cache, and read other processes'.
+        """Add this process's entries to the file of all processes, and read their entries.
 
-        An unreadable record counts as empty; if none can be written, the process counts its own
-        entries only. If two processes write at the same time, the later numbers are kept.
+        The file lies beside numba's cache. An unreadable file counts as empty. If the file cannot
+        be written, the process counts only its own entries. If two processes write at the same
+        time, the later numbers are kept.
         """
         self.unrecorded = 0.0
         for place in self.places or ():
@@ -291,9 +295,10 @@ def cache_folders() -> list[Path]:
 
 
 def cached_loops() -> set[str]:
-    """Return the loops of this version of library and Python with a file in numba's cache.
+    """Return the names of the loops that have a file in numba's cache.
 
-    Only numba, once loaded, can tell whether the file contains the needed types.
+    The file must belong to this version of Python and be newer than the loop's source. Whether it
+    has the needed types is known only after numba is loaded.
     """
     flags = "" if sys.platform == "win32" else sys.abiflags
     ending = f".py{sys.version_info[0]}{sys.version_info[1]}{flags}.nbi"
@@ -308,7 +313,7 @@ def cached_loops() -> set[str]:
 
 
 def _read_record(path: Path) -> dict[str, float]:
-    """Read the entries processed so far, by loop; a damaged record is empty."""
+    """Read the number of entries processed so far by each loop; a damaged file counts as empty."""
     try:
         known = json.loads(path.read_text(encoding="utf-8"))
         return {str(loop): max(float(n), 0.0) for loop, n in known.items()}

@@ -22,7 +22,23 @@ def back_up(
     slope: Array, factor: float, values: Array, held: Array, minima: Array,
     choice: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Compute each state's least value, the first pair that attains it, the held pair's value."""
+    """Compute each state's least value and the first pair that attains it: a Bellman backup.
+
+    Args:
+        offsets: offsets of each state's pairs, [states + 1].
+        indptr: position of each pair's first column, [pairs + 1].
+        begins: position of each pair's first number, [pairs].
+        indices: columns, [entries].
+        data: numbers; rows may share them.
+        cost: fixed cost, [pairs].
+        slope: cost per unit of ``factor``, [pairs].
+        factor: 0: ``slope`` is not used.
+        values: [columns].
+        held: a pair of each state, [states], or empty.
+        minima: written: least values, [states].
+        choice: written: pairs, [states].
+        here: written unless ``held`` is empty: values of the held pairs, [states].
+    """
     keeps = held.size > 0
     for s in prange(offsets.size - 1):
         least, pick, kept = np.inf, offsets[s], np.inf
@@ -50,9 +66,17 @@ def back_up_safely(
     magnitude: Array, slope: Array, factor: float, alone: Array, epsilon: float, values: Array,
     minima: Array, position: Array,
 ) -> None:  # fmt: skip
-    """Compute lower bounds of each state's least value, with the rounding of each pair's sum.
+    """Compute lower bounds of each state's least value.
 
-    ``position``, unless it is empty, receives the number of the first best pair among the state's.
+    A bound of the rounding is subtracted from each pair's sum. The arguments are those of
+    ``back_up``, and:
+
+    Args:
+        magnitude: sum of the absolute values of the fixed cost's terms, [pairs].
+        alone: greatest absolute value of one of these terms, [pairs].
+        epsilon: the machine epsilon.
+        position: written unless empty: position of the first best pair among the pairs of its
+            state, [states].
     """
     keeps = position.size > 0
     for s in prange(offsets.size - 1):

@@ -1,4 +1,4 @@
-"""Compilation of loops: each separately when it pays off, for one core and for all cores."""
+"""Compilation of loops: each when it saves time, in one version for one core and one for all."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ class _Cache(FunctionCache):
 
 
 class _Permission(event.Listener):
-    """Listener that refuses to compile a loop of this package unless it is due."""
+    """Listener of numba's compiler that refuses to compile a loop too early."""
 
     depth = 0
 
     def on_start(self, event: Any) -> None:
-        """Refuse the compilation of a loop that numba's cache lacks, unless it is due.
+        """Refuse to compile a loop of this package unless ``may_compile`` allows it.
 
         Raises:
             NotCompiledError: the loop must not be compiled now.
@@ -68,7 +68,7 @@ class _Permission(event.Listener):
             raise NotCompiledError(name)
 
     def on_end(self, event: Any) -> None:
-        """Note the end of a compilation or of its refusal."""
+        """Count the end of a compilation, finished or refused."""
         self.depth -= 1
 
 

@@ -1,8 +1,9 @@
 """Time limits and Ctrl-C: long loops check whether the call should stop.
 
 The deadline belongs to the call: ``until`` sets it for all code that runs within, on the same
-thread, and every pass over a process, compiled or not, checks it. Loops with an incumbent return it
-(``WithIncumbent``); if no loop has one, the stop reaches the caller.
+thread. Every pass over a process, compiled or not, checks it and raises :class:`Stop`. A loop with
+an incumbent (the best solution so far) catches the stop and returns the incumbent
+(``WithIncumbent``). If no loop has an incumbent, the stop reaches the caller as an error.
 """
 
 from __future__ import annotations
@@ -40,11 +41,11 @@ _PIECE = 1_000_000  # entries of a compiled loop between two checks: some hundre
 
 
 class Stop(Exception):  # noqa: N818 (no error, as StopIteration)
-    """Request to end a loop, with the policy that the loop has found so far, if any.
+    """Exception that ends a loop, with the policy that the loop has found so far, if any.
 
     Args:
         choice: the policy, in the loop's own form.
-        told: the results so far, in words.
+        told: the results so far, in words, for the error's message.
     """
 
     def __init__(self, choice: Any = None, told: str = "") -> None:
@@ -108,10 +109,10 @@ class Deadline:
             self.prepared = prepare()
 
     def look(self) -> None:
-        """Find an incumbent if one is due; raise Stop if the deadline has passed.
+        """Find an incumbent if it is time for one; raise Stop if the deadline has passed.
 
         Raises:
-            Stop: the deadline has passed, with its grace, or Ctrl-C was pressed.
+            Stop: the deadline and its grace period have passed, or Ctrl-C was pressed.
         """
         if time.perf_counter() > self.due:
             self.find_incumbent()
@@ -120,13 +121,13 @@ class Deadline:
             raise Stop
 
     def is_past(self, grace: float = 0.0) -> bool:
-        """Return whether the deadline has passed, and remember it."""
+        """Return whether the deadline and a grace period have passed; store it if they have."""
         past = self.is_interrupted or time.perf_counter() > self.at + grace
         self.was_met = self.was_met or past
         return past
 
     def status(self, gap: float, tolerance: float) -> Status:
-        """Return the status of a call by its gap: optimal, interrupted, time limit, or missed."""
+        """Return the status of a call: optimal, interrupted, time limit or tolerance missed."""
         if gap <= tolerance:
             return Status.OPTIMAL
         if self.is_interrupted:
@@ -144,9 +145,9 @@ def until(
 
     Args:
         at: time by ``time.perf_counter``; infinite: only Ctrl-C ends the loops.
-        is_closing: whether there is no grace after that.
-        prepare: finds an incumbent and returns it, or None. It is called during a search that has
-            no incumbent for a while, with a share of the remaining time.
+        is_closing: whether to allow no grace period after this time.
+        prepare: function that finds and returns an incumbent, or None. It is called, with a share
+            of the remaining time, if a search has no incumbent after a while.
     """
     grace, more = (0.0, 0.0) if is_closing else (_GRACE, _CLOSING)
     now = time.perf_counter()
@@ -157,7 +158,7 @@ def until(
 
 @contextmanager
 def limited(time_limit: float | None, doing: str) -> Iterator[None]:
-    """Set a time limit for a context; None: the deadline of the surrounding call.
+    """Set a time limit for a context; None: keep the deadline of the surrounding call.
 
     Args:
         time_limit: seconds.
@@ -180,9 +181,9 @@ def limited(time_limit: float | None, doing: str) -> Iterator[None]:
 
 @contextmanager
 def closing() -> Iterator[None]:
-    """Allow a little time after the deadline to prove the incumbent.
+    """Allow a little time after the deadline to evaluate the incumbent and to prove its bound.
 
-    Ctrl-C ends this time at once. Before the deadline the context changes nothing.
+    Another Ctrl-C ends this time. Before the deadline the context changes nothing.
     """
     outer = _running.get()
     if outer is None or not (outer.is_interrupted or time.perf_counter() > outer.at):
@@ -193,7 +194,10 @@ def closing() -> Iterator[None]:
 
 
 def has_time_for(seconds: float) -> bool:
-    """Return whether so many seconds of work fit before the deadline, with the time to prove."""
+    """Return whether work of some seconds may begin.
+
+    Before the deadline it always may. After the deadline it must fit into the time of ``closing``.
+    """
     outer, now = _running.get(), time.perf_counter()
     if outer is None or not (outer.is_interrupted or now > outer.at):
         return True
@@ -204,7 +208,7 @@ def check_time() -> None:
     """Raise Stop in the calling loop if the deadline has passed.
 
     Raises:
-        Stop: the deadline has passed, with its grace, or Ctrl-C was pressed.
+        Stop: the deadline and its grace period have passed, or Ctrl-C was pressed.
     """
     deadline = _running.get()
     if deadline is not None and (deadline.is_interrupted or time.perf_counter() > deadline.due):
@@ -212,12 +216,12 @@ def check_time() -> None:
 
 
 def ensure_incumbent(*, by_itself: bool = False) -> None:
-    """Find an incumbent before a search that may last until the deadline.
+    """Find an incumbent now, before a search that may last until the deadline.
 
-    If only Ctrl-C ends the search, an incumbent is found later, as in every search.
+    Without a time limit the incumbent is found later, during the search.
 
     Args:
-        by_itself: whether the search has an incumbent, so that none is prepared.
+        by_itself: whether the search finds incumbents itself; then none is prepared.
     """
     deadline = _running.get()
     if deadline is not None and by_itself:
@@ -233,7 +237,7 @@ def prepared() -> Any:
 
 
 def is_late() -> bool:
-    """Return whether a loop with an incumbent should end."""
+    """Return whether the deadline has passed, so that a loop with an incumbent should end."""
     deadline = _running.get()
     return deadline is not None and deadline.is_past()
 

@@ -2,9 +2,12 @@
 
 State reduction (Grassmann, Taksar and Heyman 1985): a state is eliminated by redirecting its inflow
 to its successors. The probability of departing is summed over successors and exits, never computed
-as 1 - p; all numbers stay non-negative and accurate relative to their size, however rarely the
+as 1 - p. All numbers stay non-negative and accurate relative to their size, however rarely the
 chain is left (Alfa, Xue and Ye 2002). Large components are solved by sweeps and a Krylov method.
-Sums with a bound of their rounding, or in twice the precision, have numpy twins in ``bellman``.
+
+The advantage of a pair is its cost plus the expected value of its successor, minus the value of its
+state. Advantages with a bound of their rounding, or in twice the precision, have numpy twins in
+``bellman``.
 """
 
 from __future__ import annotations
@@ -98,9 +101,24 @@ def gather_component(
 ) -> None:  # fmt: skip
     """Write a component's equations as a dense matrix, its exits, and its right side.
 
-    ``low[i]`` is the least index of an entry that is not zero in row i of the lower triangle or in
-    column i of the upper one, after all later states are eliminated. ``rows`` maps states to rows;
-    rewards are those of rows or of states.
+    Args:
+        indptr: [rows + 1].
+        indices: [entries].
+        data: [entries].
+        exits: [rows].
+        rows: the row of each state, [states].
+        order: states, component by component, [states].
+        begin: position of the component's first state in the order.
+        size: number of its states.
+        place: position of each of its states in the component, -1 elsewhere, [states].
+        rewards: rewards of rows or of states.
+        by_row: whether they are rewards of rows.
+        x: totals, known for the successors outside the component, [states, rewards].
+        inner: written: the matrix, [size, size].
+        low: written: for each i the least j <= i such that entry (i, j) or (j, i) may not be 0
+            after all later states are eliminated, [size].
+        leaving: written: probability of leaving the component, [size].
+        right: written: rewards plus expected totals outside, [size, rewards].
     """
     for i in range(size):
         low[i] = i
@@ -136,7 +154,10 @@ def gather_component(
 
 @compiled_loop
 def eliminate_component(inner: Array, low: Array, leaving: Array, right: Array, size: int) -> bool:
-    """Solve a component's dense equations, in place; return false if it is never left."""
+    """Solve a component's dense equations, in place; return false if it is never left.
+
+    The arguments are those that ``gather_component`` has written.
+    """
     flat, width = inner.reshape(-1), inner.shape[1]
     if not eliminate_states(flat, width, 0, low, leaving, size):
         return False
@@ -153,10 +174,12 @@ def eliminate_states(
     Args:
         inner: ``inner[i * width + shift + j]`` is the probability of going from i to j. On return
             it is, for j < i, the reduced probability divided by the probability of departing; for
-            j = i the probability of departing; for j > i the weight with which j is replaced.
+            j = i the probability of departing; for j > i the reduced probability with which i
+            leads to j when j is eliminated.
         width: length of a row: the number of states, or twice the bandwidth.
         shift: position of the first row.
-        low: the first state that each leads to or from, after later ones are eliminated, [states].
+        low: for each state the first one that it leads to or is reached from, after all later
+            states are eliminated, [states].
         leaving: probability of leaving from each state, [states]; overwritten.
         size: number of states.
 
@@ -187,7 +210,13 @@ def eliminate_states(
 def solve_eliminated(
     inner: Array, width: int, shift: int, low: Array, right: Array, size: int
 ) -> None:
-    """Solve for right sides, [states, rewards], in place, after the states are eliminated."""
+    """Solve for right sides, in place, after ``eliminate_states``.
+
+    Args:
+        inner: as ``eliminate_states`` has left it; so are ``width``, ``shift`` and ``low``.
+        right: right sides, overwritten by the solution, [states, rewards].
+        size: number of states.
+    """
     for i in range(size - 1, -1, -1):
         for k in range(right.shape[1]):
             right[i, k] /= inner[i * width + shift + i]
@@ -209,7 +238,7 @@ def gather_inside(
     indptr: Array, indices: Array, data: Array, exits: Array, states: Array, place: Array,
     own_indptr: Array, own_indices: Array, own_data: Array, departs: Array, leaving: Array,
 ) -> None:  # fmt: skip
-    """Write a component's equations for sweeps, with moves conditioned on departing.
+    """Write a component's equations for sweeps, divided by the probability of departing.
 
     Args:
         indptr: offsets of the chain's rows, [states + 1].
@@ -219,8 +248,10 @@ def gather_inside(
         states: the members, in the order in which they are swept.
         place: position of each state among them, -1 elsewhere, [states].
         own_indptr: offsets of the members' rows, [members + 1].
-        own_indices: written: positions; its own for unused entries, [own entries].
-        own_data: written: conditional probabilities; 0 for unused entries, [own entries].
+        own_indices: written: positions of successors among the members; the member's own position
+            in unused entries, [own entries].
+        own_data: written: probabilities divided by that of departing; 0 in unused entries, [own
+            entries].
         departs: written: the probability of departing, [members].
         leaving: written: the probability of leaving the component, [members].
     """
@@ -249,7 +280,16 @@ def from_beyond(
     indptr: Array, indices: Array, data: Array, states: Array, place: Array, departs: Array,
     rewards: Array, x: Array, right: Array,
 ) -> None:  # fmt: skip
-    """Write a component's right sides, including the totals of successors outside."""
+    """Write a component's right sides: rewards and totals of successors outside.
+
+    Both are divided by the probability of departing. The arguments are those of ``gather_inside``,
+    and:
+
+    Args:
+        rewards: [states, rewards].
+        x: totals, [states, rewards].
+        right: written, [members, rewards].
+    """
     for i in prange(states.size):
         s = states[i]
         for j in range(rewards.shape[1]):
@@ -299,7 +339,7 @@ def sweep(
 
 @compiled_loop
 def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: Array) -> None:
-    """Compute the residual ``x - G x``, with G a Gauss-Seidel sweep without rewards."""
+    """Write the residual ``x - G x`` to ``miss``; G is a Gauss-Seidel sweep without rewards."""
     miss[:] = x
     for s in range(x.size):
         total = 0.0
@@ -311,7 +351,7 @@ def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: A
 
 
 def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the initial state of BiCGStab: shadow, p and v, [members], and rho, [1]."""
+    """Return the initial state of ``bicgstab``: shadow, p and v, [members] each, and rho, [1]."""
     rho = np.zeros(1)
     _square_in_sweep(residual, rho)
     return residual.copy(), residual.copy(), np.zeros_like(residual), rho
@@ -319,7 +359,7 @@ def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
 
 @compiled_loop
 def _square_in_sweep(residual: Array, rho: Array) -> None:
-    """Add the squared norm of a residual to ``rho``, summed in order."""
+    """Add the squared norm of a residual to ``rho``, [1], summed in the order of the states."""
     for s in range(residual.size):
         rho[0] += residual[s] * residual[s]
 
@@ -332,9 +372,10 @@ def bicgstab(
 ) -> tuple[int, bool]:  # fmt: skip
     """Run BiCGStab: add to ``x`` until ``residual`` is at most ``target``.
 
-    BiCGStab of van der Vorst (1992) on ``x - G x = g``, where G is one sweep: the sweep is the
-    preconditioner and costs no more than a product. ``residual`` is ``g - (x - G x)``. The state of
-    ``start_bicgstab`` is updated, so that steps can be taken a few at a time.
+    BiCGStab of van der Vorst (1992) solves ``x - G x = g``, where G is one Gauss-Seidel sweep. The
+    sweep is the preconditioner, and costs no more than a product. ``residual`` is ``g - (x - G
+    x)``. The state (``shadow``, ``p``, ``v``, ``scalar``) is updated, so that a later call can go
+    on.
 
     Returns:
         The number of sweeps, and whether the method ended.
@@ -374,13 +415,14 @@ def bicgstab(
 
 @compiled_loop
 def work_of_levels(indptr: Array, indices: Array) -> tuple[int, float]:
-    """Estimate the width of a component's equations, by distances from its first state.
+    """Estimate the work of a direct solution of a component, by distances from its first state.
 
-    Nested dissection (George 1973): a piece of m states is cut at a level of the first m states,
-    which becomes a dense block. The multiplications are summed over pieces of all sizes.
+    A level is the set of states at one distance. Nested dissection (George 1973) cuts a piece of m
+    states at a level of the first m states, which becomes a dense block. The multiplications of the
+    dense blocks are summed over pieces of all sizes.
 
     Returns:
-        The greatest number of states at one distance, and the multiplications.
+        The greatest number of states at one distance, and the number of multiplications.
     """
     n = indptr.size - 1
     seen, queue = np.zeros(n, dtype=np.bool_), np.empty(n, dtype=np.uint32)
@@ -410,7 +452,22 @@ def precise_advantage(
     row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
     high: Array, low: Array, epsilon: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return a pair's advantage in twice the precision, at high + low, and its rounding."""
+    """Return a pair's advantage at values ``high + low``, and a bound of its rounding.
+
+    It is computed in twice the working precision.
+
+    Args:
+        row: the pair's row.
+        s: its state.
+        indptr: [rows + 1].
+        indices: [entries].
+        data: [entries].
+        exits: [rows].
+        cost: the pair's cost.
+        high: [states].
+        low: [states].
+        epsilon: the machine epsilon.
+    """
     total, rest, small, whole = cost, 0.0, 0.0, 0.0
     if exits[row] != 0.0:
         term, lost = _exact_product(-exits[row], high[s])
@@ -439,7 +496,19 @@ def safe_advantage(
     row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
     values: Array, epsilon: float,
 ) -> float:  # fmt: skip
-    """Return a lower bound of a pair's advantage: its value minus a bound of its rounding."""
+    """Return a lower bound of a pair's advantage: the sum less a bound of its rounding.
+
+    Args:
+        row: the pair's row.
+        s: its state.
+        indptr: [rows + 1].
+        indices: [entries].
+        data: [entries].
+        exits: [rows].
+        cost: the pair's cost.
+        values: [states].
+        epsilon: the machine epsilon.
+    """
     here, leaves = values[s], exits[row]
     total, rounded = cost, 0.0
     if leaves != 0.0:
@@ -461,7 +530,10 @@ def advantages_precisely(
     home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     high: Array, low: Array, epsilon: float, result: Array, rounding: Array,
 ) -> None:  # fmt: skip
-    """Compute all pairs' advantages in twice the precision, with bounds of their rounding."""
+    """Compute all pairs' advantages in twice the precision, with bounds of their rounding.
+
+    Written: ``result`` and ``rounding``, [pairs] each.
+    """
     for row in prange(home.size):
         result[row], rounding[row] = precise_advantage(
             row, home[row], indptr, indices, data, exits, cost[row], high, low, epsilon
@@ -473,7 +545,7 @@ def advantages_safely(
     home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     values: Array, epsilon: float, result: Array,
 ) -> None:  # fmt: skip
-    """Compute lower bounds of all pairs' advantages in working precision."""
+    """Write lower bounds of all pairs' advantages, in working precision, to ``result``, [pairs]."""
     for row in prange(home.size):
         result[row] = safe_advantage(
             row, home[row], indptr, indices, data, exits, cost[row], values, epsilon
@@ -485,7 +557,10 @@ def shortfalls_safely(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     values: Array, epsilon: float, result: Array,
 ) -> None:  # fmt: skip
-    """Compute upper bounds of the excess of each state's value over its backup."""
+    """Write upper bounds of the excess of each state's value over its backup to ``result``.
+
+    [states]; the bounds are at least 0, and infinite where an advantage is nan.
+    """
     for s in prange(result.size):
         worst = 0.0
         for row in range(offsets[s], offsets[s + np.uint32(1)]):
@@ -499,7 +574,7 @@ def lower_in_order(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, order: Array,
     cost: Array, epsilon: float, values: Array,
 ) -> None:  # fmt: skip
-    """Lower values of a process without cycles until none exceeds its backup.
+    """Reduce the values of a process without cycles until none exceeds its backup.
 
     Args:
         offsets: [states + 1].
@@ -597,7 +672,11 @@ def _precise_miss(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     rewards: Array, x: Array, low: Array, epsilon: float, off: Array, missed: Array,
 ) -> None:  # fmt: skip
-    """Compute residuals in twice the working precision, and the greatest for each reward."""
+    """Compute residuals of totals ``x + low`` in twice the working precision.
+
+    Written: ``off``, the residuals, [states, rewards], and ``missed``, a bound of the greatest one
+    for each reward, [rewards].
+    """
     for j in range(x.shape[1]):
         missed[j] = 0.0
         for s in range(x.shape[0]):

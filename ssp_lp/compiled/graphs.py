@@ -34,7 +34,15 @@ def transpose(
 def count_and_place(
     outcome_offsets: Array, successors: Array, probabilities: Array, places: Array, pairs: Array
 ) -> None:
-    """Sort the pairs by their successors, by counting: first the offsets, then the pairs."""
+    """Sort the pairs by their possible successors (a counting sort).
+
+    Args:
+        outcome_offsets: [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        places: zeros; written: offsets of each state's pairs, then one unused entry, [states + 2].
+        pairs: written: pairs that may lead to each state, [entries].
+    """
     for k in range(successors.size):
         if probabilities[k] > 0.0:
             places[successors[k] + 2] += 1
@@ -52,18 +60,21 @@ def search_backwards(
     graph: tuple[IntArray, IntArray, IntArray], open_pairs: BoolArray, wanted: IntArray,
     states: IntArray, choice: IntArray | None = None, distance: IntArray | None = None,
 ) -> None:  # fmt: skip
-    """Close the pairs that may lead to a reached state, breadth-first, in place.
+    """Search backwards from reached states, breadth-first, and close the pairs that lead to them.
 
-    A state is reached once no more pairs are wanted of it: after one closed pair if some pair may
-    lead to a reached state, after all of its open pairs if every pair may.
+    A state is reached as soon as as many of its pairs are closed as ``wanted`` says. If this is 1,
+    the search finds the states from which some pair may lead to a reached state. If it is the
+    number of open pairs, it finds the states from which every open pair may.
 
     Args:
-        graph: offsets of the predecessors, [states + 1], and these pairs; the state of each pair.
-        open_pairs: [pairs].
-        wanted: number of pairs of each state that are still wanted, [states] int64.
-        states: states reached at first.
-        choice: the first of the pairs by which each state is reached earliest, [states] int64.
-        distance: zeros; steps from each reached state to the first ones, [states] int32.
+        graph: offsets of each state's predecessors, [states + 1]; the predecessors, which are
+            pairs, [entries]; and the state of each pair, [pairs].
+        open_pairs: pairs that are not closed, updated, [pairs].
+        wanted: number of pairs to close before a state is reached, updated, [states] int64.
+        states: the states that are reached at first.
+        choice: written: for each state, of the pairs by which it is reached earliest, the first,
+            [states] int64.
+        distance: zeros; written: steps from each reached state to the first ones, [states] int32.
     """
     n, (offsets, pairs, home) = wanted.size, graph
     choice = np.empty(n, dtype=np.int64) if choice is None else choice
@@ -81,7 +92,7 @@ def take_from_queue(
     offsets: Array, pairs: Array, home: Array, open_pairs: Array, wanted: Array, choice: Array,
     distance: Array, queue: Array, head: int, filled: int,
 ) -> tuple[int, int]:  # fmt: skip
-    """Take some states from the queue of ``search_backwards``; return its new head and end."""
+    """Process some states of the queue of ``search_backwards``; return its new head and end."""
     past = head + _TURNS
     while head < min(filled, past):
         near = queue[head]
@@ -146,19 +157,20 @@ def _search_components(
     """Continue a depth-first search for strong components; return whether it has not ended.
 
     Args:
-        begin: see ``order_components``, also for ``end``, ``indices`` and ``data``.
-        end: [states].
-        indices: [entries].
-        data: [entries].
-        label: written, [states].
-        number: rank in which a state was found, 0: not yet, ``_CLOSED``: it has a component,
-            [states].
-        low: the least rank of an open state that is reached from each, [states].
-        place: next entry of each state, [states].
-        opened: states without a component yet, [states].
-        calls: the stack of states on the search's path, [states].
+        begin: position of each state's first entry, [states].
+        end: position after each state's last entry, [states].
+        indices: successors, [entries].
+        data: entries of 0 are no edges, [entries].
+        label: written: component of each state, [states].
+        number: order in which states were found, from 1 on; 0: not yet found; ``_CLOSED``: the
+            state has a component, [states].
+        low: for each state the least ``number`` of an open state that it reaches, [states].
+        place: next entry to follow of each state, [states].
+        opened: open states: found, but without a component, [states].
+        calls: stack of the states on the search's path, [states].
         finished: states that the search has finished, [states].
-        counts: roots tried, calls, open states, finished ones, states found, components.
+        counts: numbers of roots tried, of states on the path, of open, finished and found states,
+            and of components, [6].
     """
     root, depth, n_open = counts[0], counts[1], counts[2]
     n_finished, visited, n_components = counts[3], counts[4], counts[5]
@@ -231,7 +243,10 @@ def _close_component(
 def _number_by_height(
     begin: Array, end: Array, indices: Array, data: Array, finished: Array, found: int, label: Array
 ) -> None:
-    """Renumber components by the most steps to an end, then by their first states."""
+    """Renumber components by their greatest number of steps to an end, then by first state.
+
+    The steps are counted between components. ``label``, [states], is updated.
+    """
     height, number = np.zeros(found, dtype=np.int64), np.full(found, -1, dtype=np.int64)
     for s in finished:
         own = label[s]

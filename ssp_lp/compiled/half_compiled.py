@@ -28,7 +28,7 @@ class _Compiling(event.Listener):
         self._thread = _LockDepth()
 
     def on_start(self, event: Any) -> None:
-        """Note the exception that the caller is handling, if any, when the lock is taken."""
+        """Store the exception that the caller is handling, if any, when the lock is taken."""
         self._thread.depth = self._thread.depth + 1
         if self._thread.depth == 1:
             self._thread.handled = sys.exc_info()[1]

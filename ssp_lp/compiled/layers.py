@@ -1,5 +1,9 @@
 """Compiled passes over the layers of accumulated cost, backward and forward.
 
+``layers`` is a block of layers (``accumulated_cost.sweep._Layers``). A class of steps has one cost.
+The measures of a pair are its expected charge and its expected totals of counted rewards. Free
+steps have cost 0 and stay in their layer.
+
 Without fast-math sums run in the order of scipy's products, so that both agree to the last bit.
 Index arrays are unsigned views, because numba tests signed indices for negative values.
 """
@@ -24,7 +28,7 @@ _LOWERINGS = 16
 
 
 class OneLayer(NamedTuple):
-    """Data of a compiled pass that change from layer to layer."""
+    """Data of one layer for a compiled pass."""
 
     begin: Array  # [classes] position of the first value of the layer that a step leads to
     charged: Array  # [columns] charge of arriving
@@ -58,7 +62,7 @@ def _best_pair(
 def _measure_of(
     pick: Any, layers: Any, one: OneLayer, measured: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Write the measures of a pair in a layer, [1 + counted]."""
+    """Write the measures of a pair in a layer to ``here``, [1 + counted]."""
     for j in range(here.size):
         here[j] = 0.0
     for k in range(layers.indptr[pick], layers.indptr[pick + 1]):
@@ -79,9 +83,9 @@ def _settle(
 ) -> None:  # fmt: skip
     """Write the least values of a layer, and the pairs that attain them.
 
-    If free steps have cycles, the layer is swept forwards and backwards (Gauss-Seidel): a choice is
-    followed until nothing changes, and then improved. Otherwise the measures of the choice are
-    written in the same pass.
+    If free steps have cycles, Gauss-Seidel sweeps run forwards and backwards over the layer. They
+    evaluate a choice until its values do not change, and then improve it. If there are no cycles,
+    one sweep suffices, which also writes the measures of the choice.
     """
     n, is_greedy = picks.size, True
     if layers.turns == 1:
@@ -114,7 +118,7 @@ def _settle(
 def _measure(
     layers: Any, one: OneLayer, picks: Array, row: Any, measured: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Write the measures of a layer's choice; nodes that are not reached keep 0."""
+    """Write the measures of a layer's choice, for all its nodes."""
     n = picks.size
     for turn in range(layers.turns):
         is_same = True
@@ -134,11 +138,11 @@ def _measure(
 def _lower(
     layers: Any, one: OneLayer, row: Any, values: Array, within: Array,
 ) -> None:  # fmt: skip
-    """Lower the values of a layer to their backups, with rounding counted against each.
+    """Reduce the values of a layer until none exceeds its backup, rounded down.
 
-    If free steps have cycles, each value is lowered to its own backup. The excess that remains
-    after some sweeps, times the steps that any policy takes within a layer, is subtracted from all
-    values, which makes them a sub-solution.
+    If free steps have cycles, some sweeps lower each value to its backup. The greatest remaining
+    excess, times a bound of the steps within a layer, is then subtracted from all values. After
+    this none exceeds its backup.
     """
     n, excess, largest = layers.order.size, 0.0, 0.0
     for turn in range(_LOWERINGS + 1 if layers.turns > 1 else 1):
@@ -191,9 +195,9 @@ def sweep_layers(
             computed.
         position: the choice among each node's pairs, [layers, nodes].
         keeps: whether the choice is given rather than written; values are then not used.
-        within: super-solution of the number of free steps, [nodes]: at least one more than its
-            mean after any pair.
-        given: upper limits of lower bounds, [layers, nodes]; empty: least values are computed.
+        within: numbers t of free steps with t >= 1 + expected t after any free step, [nodes].
+        given: numbers that lower bounds must not exceed, [layers, nodes]; empty: compute least
+            values instead of lower bounds.
     """
     n, is_bound = layers.order.size, given.size > 0
     rows = max(values.size, measured.shape[0]) // n
@@ -228,7 +232,17 @@ def sweep_layers(
 def _total_of(
     pair: Any, layers: Any, at: int, many: int, values: Array, total: Array, size: Array,
 ) -> None:  # fmt: skip
-    """Write the expected values after a pair in a block of layers, [many], and their sizes."""
+    """Write the expected value after a pair, and its size, for each layer of a block.
+
+    Args:
+        pair: the pair.
+        layers: the layers.
+        at: first layer of the block.
+        many: number of layers in the block.
+        values: [nodes, all layers].
+        total: written: expected values, [many].
+        size: written: sums of absolute terms, [many]; empty: not needed.
+    """
     is_sized = size.size > 0
     total[:many] = 0.0
     if is_sized:
@@ -247,7 +261,18 @@ def _total_of(
 def _measure_run(
     pick: Any, layers: Any, at: int, first: int, past: int, measured: Array, here: Array, s: int,
 ) -> None:  # fmt: skip
-    """Write the measures of a pair in a run of layers of a block, [1 + counted, nodes, layers]."""
+    """Write the measures of a node's pair in successive layers of a block.
+
+    Args:
+        pick: the pair.
+        layers: the layers.
+        at: first layer of the block.
+        first: first layer to write, counted from ``at``.
+        past: the layer after the last one, counted from ``at``.
+        measured: updated, [1 + counted, nodes, all layers].
+        here: memory for the sums, [layers of a block].
+        s: the node.
+    """
     charge_row = 0
     for j in range(measured.shape[0]):
         here[first:past] = 0.0
@@ -274,22 +299,23 @@ def sweep_blocks(
 ) -> None:  # fmt: skip
     """Sweep backward like ``sweep_layers``, in blocks of layers that do not lead to each other.
 
-    Numbers of one node lie side by side, so that a block's sums run over them in the processor's
-    vectors; each is formed in the order of ``sweep_layers``.
+    The numbers of one node for all layers lie side by side in memory, so that the processor's
+    vector instructions compute several layers together. Each sum has the order of ``sweep_layers``.
 
     Args:
-        layers: the layers; each class leads equally many layers ahead, ``block`` at least.
+        layers: the layers; every class of steps passes equally many layers, at least ``block``.
         block: layers of a block.
         weight: weight of the charge.
         owed: as in ``sweep_layers``.
         saved: as in ``sweep_layers``.
-        values: of the layers, written, and of later layers, given, [nodes, all layers].
+        values: values of all layers: those of the swept layers are written, those of later layers
+            are read, [nodes, all layers].
         measured: measures of the same layers, [1 + counted, nodes, all layers]; no nodes: not
             computed.
         position: the choice among each node's pairs, [layers, nodes].
-        keeps: whether the choice is given; values are then not used.
+        keeps: whether the choice is given; then only ``measured`` is computed, without values.
         is_bound: whether lower bounds are computed, rounded down, rather than least values.
-        given: upper limits of lower bounds, [layers, nodes]; empty: none.
+        given: numbers that lower bounds must not exceed, [layers, nodes]; empty: no limits.
     """
     n, top = layers.offsets.size - 1, layers.paid.size
     total, size = np.empty(block), np.empty(block if is_bound else 0)
@@ -344,7 +370,7 @@ def stream_mass(
     mass: Array, pairs: Array, offsets: Array, successors: Array, probabilities: Array,
     classes: Array, ring: Array, costs: Array, waiting: Array,
 ) -> None:  # fmt: skip
-    """Send the mass of a layer to later ones, in place, on one core so that sums keep their order.
+    """Send the mass of a layer to later layers, on one core, so that sums keep their order.
 
     Args:
         mass: one column, or three for each discount, the second of which is the first times the
@@ -354,7 +380,7 @@ def stream_mass(
         successors: [outcomes].
         probabilities: [outcomes].
         classes: class of the step cost, [outcomes]; empty: all outcomes are of class 0.
-        ring: row of the layer that a class of steps leads to, -1: this layer, [classes].
+        ring: row of ``waiting`` to which a class of steps leads, -1: this layer, [classes].
         costs: cost of each class, [classes].
         waiting: written, [rows, states, columns].
     """
@@ -395,12 +421,12 @@ def stream_evenly(
         classes: class of the step cost, [outcomes]; empty: all outcomes are of class 0.
         leads: layers that each class of steps passes, at least 1, [classes].
         costs: [classes].
-        stage: mean cost of a step, [pairs]; or empty, as ``stopping`` and ``forbidden`` are then.
+        stage: mean cost of a step, [pairs]; if empty, so are ``stopping`` and ``forbidden``.
         stopping: cost of failing in a state, [states].
         forbidden: whether giving up is not allowed, [states].
         goes_on: whether costs are paid after the goal is lost.
-        column: the first of the three columns that are followed.
-        survival: the discount of these columns.
+        column: index of the first of the three columns that are followed.
+        survival: discount of these columns.
         totals: goal, failure, cost of success, cost until failure; written, [layers, 4].
         stopped: mass that ends in each state, and mass that gives up; written, [2, states].
 
@@ -461,14 +487,16 @@ def stream_layers(
     waiting: Array, heads: Array, links: Array,
     indptr: Array, indices: Array, data: Array, first: int, arrived: Array,
 ) -> int:  # fmt: skip
-    """Collect the arrivals of a ring's layers one after the other, sending mass to later layers.
+    """Settle layers one after the other: collect the mass at the goal, send on all other mass.
 
-    Only places with mass are visited, by a linked list for each layer of the ring.
+    The mass waits in a ring buffer of layers. Only entries with mass are visited: they form a
+    linked list for each layer.
 
     Args:
-        waiting: mass; each layer's last node is the goal, [layers of the ring * nodes]; written.
-        heads: first place of each layer with mass, -1: none; written.
-        links: next place of the same layer, -1: none, of ``waiting``'s shape; written.
+        waiting: mass; the last node of each layer is the goal, [layers of the ring * nodes];
+            written.
+        heads: first entry with mass of each layer, -1: none; written, [layers of the ring].
+        links: next entry of the same layer, -1: none; written, in the shape of ``waiting``.
         indptr: offsets of the moves of each node except the goal, [nodes].
         indices: successors, relative to the node's own layer, [moves].
         data: [moves].
@@ -501,7 +529,13 @@ def stream_layers(
 
 @compiled_loop(inline="always")
 def _add_exactly(sums: Array, j: int, term: float) -> None:
-    """Add a term to a sum and to its rounding error (compensated summation), [sums, 2]."""
+    """Add a term to sum ``j`` by compensated summation.
+
+    Args:
+        sums: sums and their rounding errors, updated, [sums, 2].
+        j: number of the sum.
+        term: the term.
+    """
     whole = sums[j, 0] + term
     if abs(sums[j, 0]) >= abs(term):
         sums[j, 1] += (sums[j, 0] - whole) + term
@@ -516,7 +550,7 @@ def follow_layer(
     offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array,
     charge: Array, growth: Array, layer: float, counted: Array, onward: Array, sums: Array,
 ) -> None:  # fmt: skip
-    """Send the mass of a layer on by a choice, and add to its measures.
+    """Send the mass of a layer on by a choice, and add what it collects to the choice's measures.
 
     Args:
         mass: [nodes].
@@ -528,7 +562,7 @@ def follow_layer(
         data: numbers.
         charge: charge of arriving, [pairs].
         growth: increase of the charge per unit of the total, [pairs] or empty.
-        layer: the total paid.
+        layer: accumulated cost of the layer.
         counted: quantities in addition to the charge, [pairs, counted].
         onward: mass of the columns, added to, [columns].
         sums: the measures and their rounding errors, [1 + counted, 2], added to.
@@ -555,13 +589,13 @@ def follow_layer(
 def follow_layers(
     layers: Any, first: int, position: Array, ring: Array, sums: Array,
 ) -> None:  # fmt: skip
-    """Send mass on through layers of which each class leads equally many layers ahead.
+    """Send mass on through layers; every class of steps must pass equally many layers.
 
     Args:
         layers: all layers.
-        first: the first of them that is followed.
+        first: the first layer that is followed.
         position: position of the chosen pair among the node's pairs, [followed, nodes].
-        ring: mass of a layer in row (layer modulo rows); written, [rows, nodes].
+        ring: mass; that of a layer is in row (layer modulo rows); written, [rows, nodes].
         sums: the measures and their rounding errors, [1 + counted, 2], added to.
     """
     rows, to = ring.shape[0], np.empty(layers.leads.shape[1], np.int64)
@@ -594,7 +628,7 @@ def stream_marks(
     offsets: Array, successors: Array, probabilities: Array, classes: Array,
     leads: Array, order: Array, hopeful: Array,
 ) -> None:  # fmt: skip
-    """Mark, layer by layer backwards, the states from which decisions may lead to a marked state.
+    """Mark, layer by layer backwards, the states from which a policy may reach a marked state.
 
     If free steps have cycles, a layer is swept until no further state is marked.
 

@@ -1,4 +1,8 @@
-"""Compiled selection of rows: of a process from a model's outcomes, of a policy from a process."""
+"""Compiled selection of rows: a process from a model's outcomes, a policy from a process.
+
+In a process a node is a state, or several states that are treated as one, at which a run goes on. A
+row belongs to a pair, and has the probabilities of the nodes to which it leads.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +21,20 @@ def count_rows(
     outcome_offsets: Array, successors: Array, probabilities: Array, node_of: Array, pair_at: Array,
     home: Array, counts: Array, departs: Array, leaks: Array,
 ) -> None:  # fmt: skip
-    """Count the entries of live rows, and sum the mass that departs and the mass that ends."""
+    """Count the entries of a process's rows, and sum the probability of ending.
+
+    Args:
+        outcome_offsets: [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        node_of: node of each state; negative if runs end there, [states].
+        pair_at: pair of the model of each row; negative: giving up, [rows].
+        home: node of each row, if self-loops are removed, [rows]; otherwise empty.
+        counts: written: number of entries, [rows].
+        departs: written: probability of departing from the node, if a self-loop is removed, else 1,
+            [rows].
+        leaks: written: probability that the run ends, [rows].
+    """
     departing = home.size > 0
     for row in range(pair_at.size):
         entries, loops, leak, away = 0, 0, 0.0, 0.0
@@ -49,7 +66,18 @@ def fill_rows(
     n_nodes: int, pair_at: Array, home: Array, departs: Array, survival: float, indptr: Array,
     indices: Array, data: Array,
 ) -> None:  # fmt: skip
-    """Write columns and probabilities of the entries that ``count_rows`` counted."""
+    """Write columns and probabilities of the entries that ``count_rows`` counted.
+
+    The arguments are those of ``count_rows``, and:
+
+    Args:
+        ahead: number of layers that each outcome passes, [outcomes]; empty: one layer.
+        n_nodes: number of nodes of a layer.
+        survival: discount of the probabilities.
+        indptr: offsets of the rows' entries, [rows + 1].
+        indices: written: node plus ``n_nodes`` for each layer passed, [entries].
+        data: written, [entries].
+    """
     departing, layered = home.size > 0, ahead.size > 0
     for row in range(pair_at.size):
         place, end = indptr[row], indptr[row + 1]
@@ -80,19 +108,19 @@ def fill_rows(
 def share_rows(
     indptr: Array, numbers: Array, begins: Array, data: Array, slots: Array, used: int
 ) -> int:
-    """Store the numbers of distinct rows, and the position of each row's numbers.
+    """Store the numbers of each distinct row once, and the position of each row's numbers.
 
     Args:
         indptr: offsets of each row's numbers, [rows + 1].
         numbers: positive, [entries].
         begins: written, the position in ``data`` of each row's first number, [rows].
         data: written from position ``used`` on.
-        slots: a hash table: position of a row with this hash, -1 if none; its size is a power of
-            two, and at least twice the size of the data.
-        used: number of entries of ``data`` that are taken already.
+        slots: a hash table from rows to positions in ``data``, -1 in empty slots; its size is a
+            power of two, and at least twice the size of ``data``.
+        used: number of entries of ``data`` in use before the call.
 
     Returns:
-        The number of entries that are taken now; -1 if the space does not suffice.
+        The number of entries in use after the call; -1 if ``data`` is too small.
     """
     bits, shared = numbers.view(np.uint64), data.view(np.uint64)
     for row in range(begins.size):
@@ -154,7 +182,7 @@ def copy_rows(
     choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, own_indptr: Array,
     own_indices: Array, own_data: Array,
 ) -> None:  # fmt: skip
-    """Copy chosen rows of a matrix one after the other."""
+    """Copy chosen rows of a matrix to ``own_indices`` and ``own_data``, one after the other."""
     for s in prange(choice.size):
         first, begin, place = indptr[choice[s]], begins[choice[s]], own_indptr[s]
         for k in range(own_indptr[s + 1] - place):
@@ -166,15 +194,15 @@ def copy_rows(
 def place_layers(
     choice: Array, first: Array, pair_at: Array, offsets: Array, node_of: Array, found: Array
 ) -> None:
-    """Convert choices by node in many layers to positions among states' pairs.
+    """Convert a choice by node, in many layers, to decisions by state of the model.
 
     Args:
-        choice: [layers, nodes].
-        first: first pair of each node, from which choices count, [nodes].
-        pair_at: pair of the model, or a negative code, [pairs].
-        offsets: first pair of each state, [states].
+        choice: position of a pair of the process, counted from ``first``, [layers, nodes].
+        first: pair from which the choice of each node counts, [nodes].
+        pair_at: pair of the model of each pair, or a negative code, [pairs].
+        offsets: first pair of each state of the model, [states].
         node_of: node of each state; negative if nothing is decided there, [states].
-        found: written, [layers, states].
+        found: written: position among the state's pairs, or the code, [layers, states].
     """
     for s in range(node_of.size):
         node = node_of[s]

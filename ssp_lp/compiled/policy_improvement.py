@@ -24,10 +24,10 @@ def improve_components(
     rows: Rows, order: Array, components: Array, most: int, cost: Array, noise: float,
     choice: Array, values: Array,
 ) -> int:  # fmt: skip
-    """Improve a policy to least values component by component, ends first.
+    """Improve a policy to least values, component by component, ends first.
 
-    A component of one state takes its best pair; in a larger one Howard's rounds start from the
-    given policy, which leaves it.
+    A component of one state takes its best pair. In a larger component Howard's policy iteration
+    starts from the given policy, which must leave the component.
 
     Args:
         rows: the process.
@@ -40,7 +40,7 @@ def improve_components(
         values: written, [states].
 
     Returns:
-        The first component that a policy does not leave; -1 if there is none.
+        The first component that the policy does not leave; -1 if there is none.
     """
     inner, right = np.empty((most, most)), np.empty((most, 1))
     low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
@@ -128,9 +128,20 @@ def _improve_component(
     rows: Rows, states: Array, place: Array, cost: Array, noise: float,
     choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
 ) -> bool:  # fmt: skip
-    """Improve a policy within a component by Howard's rounds.
+    """Improve a policy within a component by Howard's policy iteration.
 
-    Returns False if one of its policies never leaves the component from some state.
+    Args:
+        rows: the process.
+        states: states of the component.
+        place: -1 everywhere; used for positions in the component, [all states].
+        cost: [pairs].
+        noise: relative gain up to which a pair is kept.
+        choice: pairs of the policy, improved in place, [all states].
+        values: values; written for the component, [all states].
+        inner: memory of ``gather_component``; so are ``low``, ``leaving`` and ``right``.
+
+    Returns:
+        False if a policy never leaves the component from some state.
     """
     _, indptr, indices, data, exits = rows
     column, rewards = values.reshape(values.size, 1), cost.reshape(cost.size, 1)
@@ -163,7 +174,19 @@ def _improve_component(
 def _best_pair(
     rows: Rows, cost: Array, values: Array, s: int, held: int
 ) -> tuple[int, float, float, float]:
-    """Return the first best pair, its value, the held pair's value, and the size of its terms."""
+    """Return the first best pair of a state and its value, conditioned on departing.
+
+    Args:
+        rows: the process.
+        cost: [pairs].
+        values: [states].
+        s: the state.
+        held: its present pair.
+
+    Returns:
+        The best pair, its value, the present pair's value, and the sum of the absolute terms of the
+        present pair's value.
+    """
     offsets, indptr, indices, data, exits = rows
     pick, least, kept, size = held, np.inf, np.inf, 0.0
     for pair in range(offsets[s], offsets[s + np.uint32(1)]):
@@ -186,16 +209,16 @@ def _best_pair(
 def improve_states(
     rows: Rows, order: Array, cost: Array, noise: float, floor: float, choice: Array, values: Array
 ) -> int:
-    """Improve a policy state by state; pairs change for gains above the noise.
+    """Improve a policy and its values in place, state by state.
 
     Args:
         rows: the process.
-        order: the states to visit.
+        order: the states to visit, in this order.
         cost: [pairs].
         noise: relative gain up to which a pair is kept.
         floor: absolute gain up to which a pair is kept.
-        choice: pair of each state, [states].
-        values: [states].
+        choice: pair of each state, updated, [states].
+        values: updated, [states].
 
     Returns:
         The number of pairs that changed.
@@ -225,10 +248,10 @@ def improve_states(
 def sweep_reach(
     rows: Rows, order: Array, wanted: Array, epsilon: float, up: bool, choice: Array, values: Array
 ) -> float:
-    """Improve the greatest probabilities of leaving by an exit, state by state.
+    """Improve values of the greatest probability of leaving by an exit, state by state.
 
-    Rounded down, values only rise, and a state that rises takes the pair by which it rises; rounded
-    up, values are at most 1, and the choice does not change.
+    If backups are rounded down, values only rise, and a state whose value rises takes the pair that
+    raises it. If backups are rounded up, values are at most 1, and the choice does not change.
 
     Args:
         rows: the process.
@@ -236,8 +259,8 @@ def sweep_reach(
         wanted: probability of leaving by the exit, [pairs].
         epsilon: the machine epsilon.
         up: whether to round up.
-        choice: pair of each state, [states].
-        values: [states].
+        choice: pair of each state, updated, [states].
+        values: updated, [states].
 
     Returns:
         The greatest rise of a value.
@@ -264,13 +287,25 @@ def sweep_reach(
 
 @compiled_loop
 def follow_reach(
-    rows: Rows, order: Array, wanted: Array, epsilon: float, choice: Array, values: Array
-) -> None:
-    """Update probabilities of leaving along the chosen pairs, state by state, rounded down."""
-    _, indptr, indices, data, _ = rows
-    for s in order:
-        pair = choice[s]
-        total, begin, end = wanted[pair], indptr[pair], indptr[pair + np.uint32(1)]
+    begins: Array, ends: Array, indices: Array, data: Array, order: Array, wanted: Array,
+    epsilon: float, turned: bool, values: Array,
+) -> None:  # fmt: skip
+    """Update probabilities of leaving along a policy, state by state, rounded down.
+
+    Args:
+        begins: position of the first entry of the policy's row of each state visited, [states].
+        ends: position after the last one, [states].
+        indices: [entries].
+        data: [entries].
+        order: the states to visit, [states].
+        wanted: probability of leaving by the exit, by the policy's pair of each, [states].
+        epsilon: the machine epsilon.
+        turned: whether to visit the last state first.
+        values: of all states.
+    """
+    for number in range(order.size):
+        i = np.uint64(order.size - 1 - number if turned else number)
+        s, total, begin, end = order[i], wanted[i], begins[i], ends[i]
         for k in range(begin, end):
             total += data[k] * values[indices[k]]
         total *= 1.0 - (float(end - begin) + 5.0) * epsilon

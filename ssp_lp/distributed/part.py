@@ -1,9 +1,10 @@
-"""A rank's part of a model: the pairs of its own states, and the states to which these lead.
+"""A rank's part of a model: the pairs of its own states, and the states to which these pairs lead.
 
-A part acts as a model for everything that concerns single pairs: expected costs, successors,
-coefficients of a limit. Its states are the states that the rank knows: its own states, then the
-ghosts (states of other ranks), which have no pairs here. Their labels are their numbers in the
-model. All ranks compute facts about the whole graph together, and each part stores them.
+A rank is a process of MPI. Its part acts as a model for everything that concerns single pairs:
+expected costs, successors, coefficients of a limit. The states of a part are the rank's own states,
+followed by the ghosts: states of other ranks to which its pairs lead, and which have no pairs here.
+The label of a state is its number in the whole model. All ranks compute facts about the whole graph
+together, and each part stores them.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Part(SSP):
 
     @cached_property
     def kept_facts(self) -> dict[str, Any]:
-        """Facts about the whole graph, and about the part's own costs, which are not shared."""
+        """Cache of facts about the whole graph and, unlike ``facts``, about the part's costs."""
         return dict(self.facts)
 
     @property
@@ -50,7 +51,7 @@ class Part(SSP):
         Raises:
             ModelError: always.
         """
-        raise ModelError("this needs the whole graph: use ssp_lp.solve on a model held whole")
+        raise ModelError("predecessors need the whole graph: use ssp_lp.solve on the whole model")
 
     @property
     def graph(self) -> Graph:
@@ -62,9 +63,10 @@ class Part(SSP):
         return self.halo.filled(made)
 
     def find(self, state: Any) -> int | None:
-        """Return the place in the part of a state's number; None if the model has no such state.
+        """Return the index in the part of a state given by its number in the model.
 
-        A state that the part does not know is added to ``wanted``, and 0 is returned.
+        None: the model has no such state. If the state is not in the part, its number is added to
+        ``wanted`` and 0 is returned.
         """
         if not isinstance(state, (int, np.integer)) or not 0 <= state < self.halo.n_all:
             return None
@@ -79,10 +81,11 @@ class Part(SSP):
 
     @cached_property
     def words(self) -> str:
-        """Sizes and a checksum of the model, equal on any number of ranks, which must all read it.
+        """Sizes and a checksum of the whole model; all ranks must read this together.
 
-        The checksum is a sum modulo 2^64 of one mixed word for each outcome: its number among all
-        outcomes, its pair, its successor, probability and costs.
+        The text does not depend on the number of ranks. The checksum is a sum modulo 2^64 of one
+        hash for each outcome, of its number among all outcomes, its pair, successor, probability
+        and costs.
         """
         comm, sizes = self.halo.ranks.comm, [self.halo.n_own, self.n_pairs, self.n_outcomes]
         before, every = comm.scan(np.array(sizes)) - sizes, comm.allreduce(np.array(sizes))
@@ -108,7 +111,7 @@ class Part(SSP):
 
 
 def _named(halo: Halo, sets: Mapping[str, IntArray]) -> dict[str, Any]:
-    """Return labels of the known states, their numbers, and the known members of named sets."""
+    """Return the fields ``states`` and ``state_labels`` of a part with these known states."""
     labels = {name: np.flatnonzero(np.isin(halo.numbers, of)) for name, of in sets.items()}
     return {"states": array("q", halo.numbers.tobytes()), "state_labels": labels}
 
@@ -131,7 +134,7 @@ def made_part(
     first, end = bounds[ranks.comm.rank :][:2].tolist()
 
     def made() -> tuple[SSP, IntArray]:
-        """Return own rows as a model, in which other states have none, and the ghosts."""
+        """Return the rank's rows as a model, in which ghosts have no rows, and the ghosts."""
         own = checked_rows(rows, first, end)
         successors, n_own = np.asarray(own.successors), end - first
         inside = (successors >= 0) & (successors < bounds[-1])

@@ -39,7 +39,7 @@ from ssp_lp.solution import Run
 _SURE = 1e-6  # relative uncertainty of a price in a checkpoint
 _AGAIN = 3  # number of policies of an earlier run that are evaluated first
 _FINER = 1e-3  # factor of the tolerance if a complement is minimised, which may be much larger
-_WHOLE = "solve it with ssp_lp.solve on a model held whole"
+_WHOLE = "solve it with ssp_lp.solve on the whole model"
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +247,7 @@ class PartitionedModel:
         return self.ranks.together(measured)
 
     def _stated(self, criterion: type[Any], asked: Mapping[str, Any]) -> Formulation:
-        """State a problem on the rank's part of the model, extended by the states that it names.
+        """Build a problem on the rank's part of the model, extended by the states that it names.
 
         Raises:
             ModelError: the ranks state different problems, or the problem needs the whole graph.
@@ -268,7 +268,10 @@ class PartitionedModel:
         """Compile a problem on this rank's part, with the first rank's bounds of rows."""
 
         def told(row: Any) -> Any:
-            """Return a row with the first rank's numbers, since sums may differ by rounding."""
+            """Return a row of the program with the first rank's numbers.
+
+            Each rank has computed them, and sums may differ by rounding.
+            """
             if row is None:
                 return None
             own = {"constant": row.constant, "bound": row.bound, "offset": row.offset}
@@ -281,7 +284,7 @@ class PartitionedModel:
     def _solved(
         self, problem: Formulation, options: SolveOptions, checkpoint: str | Path | None
     ) -> PartitionedSolution:
-        """Find the optimum of a checked problem, as every rank does.
+        """Find the optimum of a checked problem; all ranks must call this.
 
         Raises:
             InfeasibleError: no policy satisfies the budget and the limits.
@@ -328,13 +331,13 @@ class _Checkpoint:
         def found(folder: Path) -> list[Path]:
             """Return the folders of complete policies."""
             if not folder.parent.is_dir() or folder.is_file():
-                raise ModelError(f"checkpoint {folder} must be a folder in an existing folder")
+                raise ModelError(f"checkpoint {folder} must be a folder, and its parent must exist")
             return sorted(one.parent for one in folder.glob("*/policy.npz"))
 
         self._earlier = part.halo.ranks.agreed(lambda: found(Path(folder)) if folder else [])
 
     def begun(self, process: PartitionedProcess) -> DualGuess | None:
-        """Evaluate the last policies of an earlier run, and return their price to start from.
+        """Evaluate the last policies of an earlier run, and return its price as a first guess.
 
         Raises:
             ModelError: the policies answer another problem or model, or a file is damaged.
@@ -343,13 +346,13 @@ class _Checkpoint:
         for one in self._earlier[-_AGAIN:]:
             policy = PartitionedPolicy.load(self._part, one)
             if policy.told["question"] != self._question:
-                raise ModelError(f"the checkpoint {self._folder} is of {policy.told['question']}")
+                raise ModelError(f"the checkpoint is of {policy.told['question']}: name another")
             process.earlier.append(process.evaluated(policy.positions[0]))
             prices = policy.told["prices"]
         return DualGuess(prices[1], _SURE) if prices[0] == 1.0 and prices[1] > 0.0 else None
 
     def keep(self, positions: IntArray, weights: FloatArray) -> None:
-        """Save a column's decisions as a policy, with the prices at which it was found."""
+        """Save a rank's decisions of a column, with the prices at which the column was found."""
         if self._folder is not None:
             place = self._folder / f"{len(self._earlier):05}"
             told = {"question": self._question, "prices": weights.tolist()}
@@ -372,7 +375,7 @@ def _figures(
 
 
 def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any]) -> Formulation:
-    """Return the problem on a part of the model, checked to be solvable by ranks.
+    """Return the problem on a part of the model, after checking that ranks can solve it.
 
     Raises:
         ModelError: ranks do not support the problem; the message says what to do.
@@ -382,8 +385,8 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
                              criterion)  # fmt: skip
     name = criterion.__name__
     if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
-        raise ModelError("ranks support no horizon and no reach_fraction: state the budget, and "
-                         "make the steps a part of the states")  # fmt: skip
+        raise ModelError("ranks support neither horizon nor reach_fraction: count the steps in "
+                         "the states, and state failure_budget")  # fmt: skip
     problem: Formulation = criterion(part, **asked)
     if problem.semantics.charge(problem.ratio) is not None:
         raise ModelError(f"{name} counts the total cost of a run: {_WHOLE}, or use MCMP on ranks")
@@ -401,7 +404,7 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
 
 
 def _words(problem: Formulation) -> dict[str, Any]:
-    """Return the problem's parts, by name, in words and numbers that ranks compare."""
+    """Return the parts of a problem by name, as texts and numbers that ranks can compare."""
     asked = repr((problem.semantics, problem.quantity, problem.start))
     return {
         "the criterion": type(problem).__name__,

@@ -52,13 +52,13 @@ class PartitionedPolicy(ReadOnlyCopies):
         if not (weights.min(initial=1.0) >= 0.0 and abs(weights.sum() - 1.0) <= 1e-9):
             raise ModelError(f"weights must form a distribution, not {weights.tolist()}")
         if self.positions.shape != (len(weights), self.part.halo.n_own):
-            raise ModelError(f"positions of shape {self.positions.shape} do not fit the own states")
+            raise ModelError(f"positions must be [policies, own states]: {self.positions.shape}")
         for own in self.positions:
             decision[: len(own)] = own
             check_decisions(self.part, decision, as_positions=True)
 
     def on(self, model: SSP) -> MixedPolicy:
-        """Return the policy on the same model, held as a whole; all ranks must call this.
+        """Return the policy on the same model, not distributed; all ranks must call this.
 
         Raises:
             ModelError: the model has another number of states.
@@ -71,7 +71,7 @@ class PartitionedPolicy(ReadOnlyCopies):
         return MixedPolicy(tuple(DeterministicPolicy(model, own) for own in pairs), self.weights)
 
     def save(self, folder: str | Path) -> None:
-        """Write the policy, each rank a file of its own; all ranks must call this.
+        """Write the policy, one file for each rank; all ranks must call this.
 
         Args:
             folder: a folder that all ranks can write to, created if missing. A policy in it is
@@ -101,7 +101,7 @@ class PartitionedPolicy(ReadOnlyCopies):
 
     @classmethod
     def load(cls, model: Any, folder: str | Path) -> PartitionedPolicy:
-        """Read a policy, each rank the decisions of its own states.
+        """Read a policy; each rank reads the decisions of its own states.
 
         Args:
             model: the ``PartitionedModel`` for which it was saved, by any number of ranks.
@@ -115,7 +115,7 @@ class PartitionedPolicy(ReadOnlyCopies):
         folder, words, halo = Path(folder), part.words, part.halo
 
         def read() -> PartitionedPolicy:
-            """Read this rank's decisions, from all files that have some of them."""
+            """Read this rank's decisions from all files that have decisions of its states."""
             with opened_archive(folder / _WHOLE, _KIND) as (header, arrays):
                 if header["model"] != words:
                     raise ModelError(f"the policy is for another model, of {header['model']}")

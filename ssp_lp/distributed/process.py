@@ -1,9 +1,11 @@
 """The process of case M on rows that are distributed over ranks, and its pricing problem.
 
-Each rank has the pairs of its own nodes. Each rank improves policies by sweeps over its own nodes,
-in place, and the ranks exchange the ghosts' values in between; PETSc's Krylov methods solve the
-equations of a policy. Columns are evaluated with a bound of their error, and one backup of all
-rows, with rounding counted against it, checks a lower bound, as in a single process.
+Each rank has the pairs of its own nodes, and knows the values of ghosts: nodes of other ranks to
+which these pairs lead. It improves policies in place by sweeps over its own nodes. Between sweeps
+the ranks exchange the ghosts' values. PETSc's Krylov methods solve the equations of a policy.
+
+As on a single process, columns are evaluated with a bound of their error, and a lower bound is
+checked by one backup of all rows, rounded down.
 """
 
 from __future__ import annotations
@@ -74,20 +76,20 @@ class _OwnDecisions(Policy):
         Raises:
             ModelError: always.
         """
-        raise ModelError("a rank has its own decisions only: use PartitionedPolicy.on(model)")
+        raise ModelError("a rank lacks other ranks' decisions: use PartitionedPolicy.on(model)")
 
 
 class _Equations:
     """Equations ``x = right + rows @ x`` of a policy, solved by all ranks together."""
 
     def __init__(self, process: PartitionedProcess, choice: IntArray, values: FloatArray) -> None:
-        """State the equations of a policy.
+        """Set up the equations of a policy.
 
         Args:
             process: the process.
             choice: a pair of each own node, [own nodes].
-            values: approximate values of the policy, [own nodes]; PETSc's unknowns are sorted by
-                them, nodes near the ends first.
+            values: approximate values of the policy, [own nodes]. PETSc's unknowns have the order
+                of these values, so that nodes near the ends come first.
         """
         self.halo, self.choice, self.values = process.halo, choice, values
         dynamics = process.dynamics
@@ -141,13 +143,16 @@ class _Equations:
     def solve(
         self, right: FloatArray, guess: FloatArray, accuracy: float, *, precise: bool = False
     ) -> tuple[FloatArray, FloatArray]:
-        """Solve the equations by corrections of a guess, as sums of two numbers, [own nodes] each.
+        """Solve the equations by corrections of a guess.
 
         Args:
             right: right side, [own nodes].
             guess: approximate solution, [own nodes].
             accuracy: greatest residual, relative to the solution, that suffices.
             precise: whether to compute residuals in twice the working precision.
+
+        Returns:
+            Two arrays whose sum is the solution, [own nodes] each.
 
         Raises:
             SolverError: no method reaches the accuracy.
@@ -188,7 +193,7 @@ class _Equations:
         return kept[:2]
 
     def runs(self, guess: FloatArray) -> FloatArray:
-        """Return run lengths; twice a run length bounds the expected steps from above, [own nodes].
+        """Return run lengths t, checked: 2 t is at least the expected number of steps, [own nodes].
 
         Raises:
             SolverError: some nodes are never left, or no solver reaches the accuracy.
@@ -238,7 +243,7 @@ class PartitionedProcess(PricingProblem):
 
     @cached_property
     def _leaving(self) -> IntArray:
-        """A policy that leaves every node, towards the goal if possible, [own nodes]."""
+        """A policy that leaves from every node, by the goal if possible, [own nodes]."""
         graph, goal = replace(self.dynamics).graph, self.labelled.process.goal > 0.0
         nearer = self.halo.approaching(graph, goal)
         if self.ranks.any(nearer < 0):
@@ -252,11 +257,11 @@ class PartitionedProcess(PricingProblem):
 
     @cached_property
     def _first(self) -> Column:
-        """Column of the leaving policy."""
+        """Column of the policy ``_leaving``."""
         return self.measured(self._leaving)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
-        """Find a column of least priced cost by policy iteration, evaluated to a bounded error."""
+        """Find a column of least priced cost by policy iteration, with totals of bounded error."""
         weights, known = self._weights(price), (*warm, *self.earlier)
         evaluated = [one for one in known if one and one.totals is not None] or [self.first()]
         best = min(evaluated, key=lambda column: float(weights @ column.figures))
@@ -294,7 +299,7 @@ class PartitionedProcess(PricingProblem):
     def _better(
         self, cost: FloatArray, values: FloatArray, choice: IntArray, accuracy: float
     ) -> IntArray | None:
-        """Return a policy with better pairs by one backup of all nodes; None: there are none.
+        """Improve a policy by one backup of all nodes; None: no pair is better.
 
         Args:
             cost: [own pairs].
@@ -313,7 +318,7 @@ class PartitionedProcess(PricingProblem):
         return np.where(better, backup.choice, choice).astype(np.int32)
 
     def _weights(self, price: float | FloatArray) -> FloatArray:
-        """Return the weights of all rewards, from a price of failure or from weights."""
+        """Return the weights of all rewards, given a price of failure or the first weights."""
         weights = pricing_weights(price)
         return np.append(weights, np.zeros(self.n_rewards - len(weights)))
 
@@ -338,7 +343,7 @@ class PartitionedProcess(PricingProblem):
         return full[:n]
 
     def _leaving_equations(self, choice: IntArray, values: FloatArray) -> _Equations:
-        """State the equations of a policy; nodes that it never leaves take the leaving policy's."""
+        """Set up the equations of a policy; nodes that never leave follow ``_leaving`` instead."""
         equations = _Equations(self, choice, values)
         closed = ~equations.leading(equations.moves.exits > 0.0)
         if not self.ranks.any(closed):
@@ -348,9 +353,9 @@ class PartitionedProcess(PricingProblem):
     def _giving_up(self, equations: _Equations) -> IntArray:
         """Return the policy, changed to give up in nodes where it has failed, [own nodes].
 
-        The policy has failed in nodes where giving up is allowed and its own decisions no longer
-        lead to the goal. If other ends count, or the criterion forbids giving up, the policy has
-        failed only in nodes where it stays for ever and collects no reward.
+        A policy has failed in a node if giving up is allowed there and its own decisions no longer
+        lead to the goal. If ends other than the goal count, or if the criterion forbids giving up,
+        it has failed only in nodes where it stays for ever and collects no reward.
         """
         choice = equations.choice
         leads = self.labelled.process.goal[choice] > 0.0
@@ -360,7 +365,7 @@ class PartitionedProcess(PricingProblem):
         return np.where(lost, self._exits, choice).astype(np.int32)
 
     def _staying(self, choice: IntArray) -> IntArray:
-        """Replace giving up by staying at nodes from which a run may go on, [own nodes]."""
+        """Replace giving up by a pair that stays, where a run may then go on, [own nodes]."""
         quits = (choice == self._exits) & (self.stays >= 0)
         if not self.ranks.any(quits):
             return choice
@@ -370,7 +375,7 @@ class PartitionedProcess(PricingProblem):
 
     @cached_property
     def _exits(self) -> IntArray:
-        """The pair of each own node that gives up; -1 if giving up is not allowed, [own nodes]."""
+        """Each own node's pair for giving up; -1 if giving up is not allowed, [own nodes]."""
         quotient, n = self.labelled.quotient, self.halo.n_own
         exits, gives_up = np.full(quotient.n_nodes, -1), np.flatnonzero(quotient.gives_up)
         exits[quotient.pair_node[gives_up]] = gives_up
@@ -386,12 +391,12 @@ class PartitionedProcess(PricingProblem):
         return self._measured(_Equations(self, choice, nothing[:, 0]), nothing, cost)
 
     def _measured(self, equations: _Equations, guess: FloatArray, weights: FloatArray) -> Column:
-        """Evaluate the policy whose equations are stated, as a column.
+        """Return the column of the policy that the equations belong to.
 
         Args:
             equations: equations of the policy, with its values at these weights.
             guess: approximate totals, [own nodes, rewards and steps].
-            weights: of the rewards, not all 0, [rewards].
+            weights: weights of the rewards, not all 0, [rewards].
         """
         choice, totals, figures = equations.choice, guess.copy(), self.at_once.copy()
         totals[:, -1] = equations.runs(guess[:, -1])
@@ -413,16 +418,21 @@ class PartitionedProcess(PricingProblem):
         return Column.of_figures(figures, choice, totals=totals, work=Work(1, equations.products))
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
-        """Prove a lower bound of every column's priced value, by the values of a best policy."""
+        """Prove a lower bound of every column's priced value from the values of a best policy."""
         totals = np.asarray(best.totals)[:, :-1]
         return self.check(price, weighted(totals, self._weights(price)))
 
     def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
-        """Prove the best lower bound at weights at which no column has been priced yet."""
+        """Find the best column at new weights, and prove the lower bound that it implies."""
         return self.prove(weights, self.minimise(weights, warm))
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Lower values to a checked sub-solution; each rank has those of its own nodes.
+        """Reduce values to a checked sub-solution, and return the lower bound that it proves.
+
+        Args:
+            price: price of failure, or weights of the rewards.
+            values: values of the rank's own nodes, [own nodes].
+            slack: ignored.
 
         Raises:
             ModelError: values of another shape.
@@ -437,12 +447,13 @@ class PartitionedProcess(PricingProblem):
         return Proof(float(weights[1]), float(weights[1]), bound, values)
 
     def _lowered(self, weights: FloatArray, values: FloatArray) -> FloatArray:
-        """Lower values to a sub-solution that a backup of all rows confirms, [own nodes].
+        """Reduce values to a sub-solution that a backup of all rows confirms, [own nodes].
 
-        The values move towards a constant sub-solution by the least share s that suffices: at a
-        step of cost g the slack is then s * g. Where nothing is paid, values are lowered to those
-        of the successors. All values are lowered by a little more. Without this, the sweeps in free
-        components would never end: each would remove only a part of the solver's errors.
+        The values move towards a constant sub-solution by a share s, which leaves a slack of s * g
+        at a step of cost g. The least s that suffices is used. At steps of cost 0 there is no
+        slack, so that values are lowered to those of the successors. All values are lowered by a
+        little more: otherwise the sweeps in free components would never end, since each would
+        remove only a part of the solver's errors.
         """
         dynamics, greatest, n = self.dynamics, self.ranks.greatest, self.halo.n_own
         cost = weighted(self.rewards, weights)
@@ -464,18 +475,18 @@ class PartitionedProcess(PricingProblem):
         return np.full_like(values, floor)
 
     def pulled_back(self, column: Column) -> Policy:
-        """Return the decisions of a column in the rank's own states of the model."""
+        """Return a column as a policy that has the decisions in the rank's own states."""
         part: Any = self.labelled.quotient.model
         return _OwnDecisions(part, self._positions(column), column.figures)
 
     @property
     def _live(self) -> BoolArray:
-        """Whether an own state of the model is a node, [own states]."""
+        """Mask of the rank's own states that are nodes of the process, [own states]."""
         part: Any = self.labelled.quotient.model
         return np.asarray(self.labelled.quotient.node_of[: part.halo.n_own] >= 0)
 
     def _positions(self, column: Column) -> IntArray:
-        """Return a column's decisions in the own states, as positions among actions or codes."""
+        """Return a column's decisions: positions among the actions, or codes, [own states]."""
         quotient, choice, live = self.labelled.quotient, np.asarray(column.choice), self._live
         positions = np.full(live.size, UNDECIDED, dtype=np.int32)
         stays = (choice == self._exits) & (self.stays >= 0)
@@ -485,7 +496,7 @@ class PartitionedProcess(PricingProblem):
         return positions
 
     def choice_of(self, positions: IntArray) -> IntArray:
-        """Return the pairs of decisions in the own states, [own nodes].
+        """Return the pairs that decisions, [own states], take in the own nodes, [own nodes].
 
         Raises:
             ModelError: a state has no decision, or one that is not allowed.
@@ -500,17 +511,17 @@ class PartitionedProcess(PricingProblem):
         return choice.astype(np.int32)
 
     def evaluated(self, positions: IntArray) -> Column:
-        """Evaluate decisions in the own states as a column, giving up where they have failed."""
+        """Evaluate decisions, [own states], as a column that gives up where they have failed."""
         choice = self.ranks.agreed(lambda: self.choice_of(positions))
         nothing = np.zeros(self.halo.n_own)
         return self.measured(self._giving_up(_Equations(self, choice, nothing)))
 
 
 def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedProcess:
-    """State the process of a compiled problem of case M on a part; all ranks must call this.
+    """Build the process of a compiled problem of case M on a part; all ranks must call this.
 
-    States in which a policy may stay for ever at no cost get a pair for giving up, and are not
-    collapsed.
+    Components in which a policy may stay for ever at no cost are not collapsed: each of their
+    states has a pair for giving up.
 
     Args:
         compiled: the problem.
@@ -562,14 +573,15 @@ class CompiledPartitioned(CompiledExplicit):
     is_whole = False  # other problems on the model need another process
 
     def counting_rare_success(self, budget: float | None) -> CompiledPartitioned:
-        """Return the problem itself, since ranks count failure and not success."""
+        """Return the problem itself: on ranks, rare success is not counted separately."""
         return self
 
     def least_failure(self) -> LeastFailure:
-        """Find the cheapest policy of least failure, by a steep price of failure.
+        """Find the cheapest policy of least failure, at a high price of failure.
 
-        A policy that minimises ``cost + price * failure`` and has least failure is the cheapest of
-        all policies of least failure. If no price is steep enough, any of these is returned.
+        If a policy of least failure minimises ``cost + price * failure``, it is the cheapest of all
+        policies of least failure. If no price is high enough for this, the result is a policy of
+        least failure that need not be the cheapest.
         """
         pricing = self.pricing()
         cost, failure = np.eye(2, pricing.n_rewards)
@@ -584,12 +596,12 @@ class CompiledPartitioned(CompiledExplicit):
         return LeastFailure(pricing.policy(column), column, 0.0, proved)
 
     def failure_at_least(self, discount: float | None) -> float:
-        """Return the least failure probability of all policies, to report it in an error."""
+        """Return the least failure probability of all policies, for an error's message."""
         stated = CompiledExplicit(replace(self.facts, discount=discount), self.semantics)
         return compiled_on_ranks(stated).least_failure().column.failure
 
     def settled(self, *known: Column) -> CompiledPartitioned:
-        """Return the problem, with the least failure as budget if the budget is not greater.
+        """Return the problem; a budget up to the least failure is replaced by the least failure.
 
         Raises:
             InfeasibleError: the budget is below the least failure by more than rounding.

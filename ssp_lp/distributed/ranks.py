@@ -1,7 +1,7 @@
 """The ranks of a communicator, and the exchange of values of states between ranks.
 
 Every rank runs the same program on its own rows. Joint decisions depend only on numbers that are
-equal on all ranks: reductions, and values computed from them.
+equal on all ranks: sums or maxima over all ranks, and values computed from them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _Made = TypeVar("_Made")
 
 
 class Ranks:
-    """The ranks of MPI's world, each of which runs the same program, and PETSc on them."""
+    """The ranks (processes) of MPI's world, which run the same program, with PETSc on them."""
 
     def __init__(self) -> None:
         """Start PETSc, if it is not running, with the options of the command line.
@@ -48,7 +48,7 @@ class Ranks:
         raise ModelError("objects of several ranks cannot be pickled: use answer.policy.save()")
 
     def caught(self, make: Callable[[], Any]) -> Any:
-        """Return a function's result on this rank, or its error as an error of the library."""
+        """Run a function and return its result; convert its error to an error of the library."""
         try:
             return make()
         except SSPError as error:
@@ -74,7 +74,7 @@ class Ranks:
         """Check that every rank has the same values.
 
         Args:
-            what: name of the things compared, for the error.
+            what: name of what is compared, for the message.
             mine: this rank's values by name, which can be sent and compared.
 
         Raises:
@@ -116,7 +116,7 @@ class Ranks:
         return bool(self.greatest(float(np.any(own))) > 0.0)
 
     def _reduced(self, own: npt.ArrayLike, operation: Any) -> Any:
-        """Return numbers reduced over all ranks."""
+        """Return numbers combined over all ranks by an operation of MPI."""
         found = np.array(own, dtype=np.float64)
         self.comm.Allreduce(self.mpi.IN_PLACE, found, op=operation)
         return found
@@ -130,7 +130,7 @@ class Halo:
     """
 
     def __init__(self, ranks: Ranks, n_own: int, ghosts: IntArray) -> None:
-        """Create the ghosted vector.
+        """Create PETSc's vector over own states and ghosts; all ranks must call this.
 
         Args:
             ranks: all ranks.
@@ -162,11 +162,10 @@ class Halo:
         return np.append(np.arange(self.first, self.end), self.ghosts)
 
     def settled(self, sweep: Callable[[BoolArray], BoolArray], mask: BoolArray) -> BoolArray:
-        """Repeat sweeps of each rank's own rows until no ghost changes on any rank.
+        """Repeat a search on each rank until no ghost's mark changes on any rank.
 
         Args:
-            sweep: maps a mask to a mask by the rank's own rows, complete for these ghosts, [known
-                states].
+            sweep: completes a mask by the rank's own rows, given the ghosts' marks, [known states].
             mask: the first mask, [known states].
         """
         while True:
@@ -180,17 +179,17 @@ class Halo:
         return self.settled(lambda mask: reaching_states(graph, mask), self.filled(ends))
 
     def staying(self, graph: Graph, usable: BoolArray, outside: BoolArray) -> BoolArray:
-        """Return the greatest set in which each state has no pair, or one that stays in the set.
+        """Return the greatest set in which each state has no pairs or a pair that stays inside.
 
         Args:
-            graph: the known states, and the pairs of the own ones.
+            graph: the known states, and the pairs of the own states.
             usable: whether a pair may be taken, [pairs].
             outside: whether a state is excluded, [known states].
         """
         acting = np.diff(graph.pair_offsets) > 0
 
         def sweep(closed: BoolArray) -> BoolArray:
-            """Close states all of whose usable pairs may lead to closed states."""
+            """Mark states whose usable pairs may all lead to marked states."""
             pairs = usable & ~closed[graph.pair_state]
             counts = np.bincount(graph.pair_state[pairs], minlength=graph.n_states)
             closed = closed | (acting & (counts == 0))
@@ -203,13 +202,13 @@ class Halo:
         """Return a pair of each own state that leads nearer to a leaving pair; -1 if none does.
 
         Args:
-            graph: the known states, and the pairs of the own ones.
+            graph: the known states, and the pairs of the own states.
             leaving: whether a pair leaves, [pairs].
         """
         choice = np.full(graph.n_states, -1)
 
         def sweep(reached: BoolArray) -> BoolArray:
-            """Choose a pair in states that lead to a leaving pair, or to a state that does."""
+            """Choose ``leaving`` pairs, and pairs that lead to states with a chosen pair."""
             nearer = nearer_pairs(graph, leaving | pairs_into(graph, reached))
             choice[:] = np.where(choice < 0, nearer, choice)
             return reached | (choice >= 0)

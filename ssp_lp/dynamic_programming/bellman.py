@@ -1,8 +1,8 @@
 """Bellman backups and policy products on sparse state-action pairs, compiled if large.
 
-An action often has equal probabilities in many states: each cell of a grid has the same few
-distributions, one row after another. Numbers of repeated rows are stored once (``SharedRows``): a
-sweep then reads only the columns, a third of the memory.
+The rows of many pairs often have equal probabilities, as in the cells of a grid world.
+``SharedRows`` stores them once. A sweep then reads hardly more than the column indices, a third of
+the memory.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
 
+MOST_CACHED = 2**19
+"""Most stored numbers: 4 MB, so that they stay in the cache of a core."""
+
 _FEW_ENTRIES = 20_000
 _NONE = np.zeros(0)
 _NOBODY = np.zeros(0, dtype=np.uint32)
@@ -36,7 +39,7 @@ _NOBODY = np.zeros(0, dtype=np.uint32)
 
 @dataclass(frozen=True)
 class Work:
-    """Numbers of passes over a process, which take most of a pricing problem's time."""
+    """Number of passes over a process, which take most of the time of a pricing problem."""
 
     backups: int = 0  # passes over all pairs
     products: int = 0  # passes over one pair per state
@@ -48,7 +51,7 @@ class Work:
 
 @dataclass(frozen=True, eq=False)
 class Backup:
-    """One application of the Bellman operator."""
+    """Result of one application of the Bellman operator."""
 
     minima: FloatArray  # [states] infinite if a state has no pairs
     choice: IntArray  # [states] the first pair that attains the minimum
@@ -124,20 +127,21 @@ def safe_minima(
     values: FloatArray,
     position: IntArray | None = None,
 ) -> FloatArray:
-    """Compute a lower bound of a Bellman backup, with the rounding of each pair's sum.
+    """Compute a lower bound of a Bellman backup: each pair's sum, less a bound of its rounding.
 
     Args:
         pair_offsets: [states + 1].
         transitions: [pairs, columns].
         pair_cost: costs, positive or negative.
         magnitude: sum of the absolute values of the fixed cost's terms, [pairs].
-        alone: absolute value of a sum with a single term, which is not rounded, [pairs].
+        alone: greatest absolute value of one of these terms, [pairs]. A sum whose other terms are
+            all 0 is not rounded.
         values: [columns].
-        position: written by compiled loops: number of the first best pair among the state's,
-            [states].
+        position: written, by compiled loops only: position of the first best pair among the pairs
+            of its state, [states].
 
     Returns:
-        [states], infinite if a state has no pairs.
+        The lower bounds, [states]; infinite if a state has no pairs.
     """
     check_time()
     if not accelerated(len(transitions.indices), "backups.back_up_safely"):
@@ -158,7 +162,7 @@ def safe_minima(
 
 
 def backup_rounding(transitions: SparseRows) -> FloatArray:
-    """Return the rounding of a backup relative to its terms' magnitudes, [pairs]."""
+    """Return a bound of a backup's rounding, relative to the sum of its absolute terms, [pairs]."""
     return np.asarray((np.diff(transitions.indptr) + 4.0) * MACHINE_EPSILON)
 
 
@@ -186,7 +190,7 @@ def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> 
 
 @with_twin
 def chosen_rows(transitions: SparseRows, choice: IntArray) -> sp.csr_array:
-    """Return a policy's rows, ``transitions[choice]``, in order.
+    """Return a policy's rows, ``transitions[choice]``.
 
     Args:
         transitions: [pairs, columns].
@@ -243,7 +247,7 @@ def written_out(rows: SparseRows) -> sp.csr_array:
 
 
 def row_parts(rows: SparseRows) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """Return a matrix's arrays: rows' first columns and numbers, columns, numbers."""
+    """Return a matrix's arrays: ``indptr``, first number of each row, columns and numbers."""
     indptr = unsigned(rows.indptr)
     begins = unsigned(rows.begins) if isinstance(rows, SharedRows) else indptr[:-1]
     return indptr, begins, unsigned(rows.indices), rows.data
@@ -257,7 +261,11 @@ def unsigned_parts(
 
 
 class Moves(NamedTuple):
-    """The pairs of a process, with methods for their advantages at given values."""
+    """The pairs of a process, with methods for their advantages at given values.
+
+    The advantage of a pair is its cost plus the expected value of its successor, minus the value of
+    its state.
+    """
 
     home: IntArray  # [pairs] state of each pair
     transitions: sp.csr_array  # [pairs, states]

@@ -1,11 +1,13 @@
 """Solvers of a chain's equations: iteration, reduction of a band, sparse factors, or dense LU.
 
 A large strong component is solved iteratively as long as that takes less work than a direct
-solution. Sweeps are best if runs leave the component soon. If sweeps contract too slowly, BiCGStab
-uses a sweep as its preconditioner. Both stop after the estimated work of a direct solution, so the
-total is at most about twice the work of the better choice. A direct solution reduces a component
-that is narrow in some order state by state, without subtractions, and uses sparse factors for
-others.
+solution. Gauss-Seidel sweeps are best if runs leave the component soon. If they converge too
+slowly, BiCGStab follows, with a sweep as its preconditioner. Both stop after the estimated work of
+a direct solution, so that the total is at most about twice the work of the better choice.
+
+The direct solution depends on the component. If its matrix is a narrow band in some order of the
+states, the states are eliminated one by one without subtractions (state reduction). Otherwise
+sparse LU factors are computed.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ HOLDS_MASS = "a policy stays in the process for ever from some states"
 Solver = Callable[[FloatArray], FloatArray]
 
 _MOST_STATES = 200_000
-"""Most states of sparse factors, which may exceed the memory beyond."""
+"""Most states of a chain for sparse factors: those of a larger chain may exceed the memory."""
 
 _BAND_WORK = 6e8
 """Number of states times the squared bandwidth: about a second of compiled reduction."""
@@ -44,7 +46,7 @@ _AT_ONCE = 10_000_000  # entries of steps between two checks of the time
 _RESTARTS = 8
 _SWEEPS_BETWEEN = 20  # sweeps after a breakdown of a Krylov run
 _LEAST_RESIDUAL = 1e-12
-"""Relative residual of a Krylov method that is accepted, since later corrections remove it."""
+"""Relative residual at which BiCGStab's result is accepted: later corrections reduce it."""
 
 _LITTLE_WORK = 1e6
 """Multiplications of a direct solution that take as long as the calls around a Krylov method."""
@@ -63,7 +65,11 @@ _KRYLOV = "equations.bicgstab", "equations._square_in_sweep"
 
 
 class LargeComponent:
-    """Equations ``y = right + own @ y`` of one component, conditioned on departing from a state."""
+    """Equations ``y = right + own @ y`` of one component.
+
+    Each equation is divided by the probability of departing from its state, so that ``own`` has no
+    self-loops.
+    """
 
     def __init__(self, matrix: sp.csr_array, exits: FloatArray, states: IntArray) -> None:
         """Extract the component from its chain.
@@ -83,7 +89,7 @@ class LargeComponent:
 
     @property
     def is_solved_reward_by_reward(self) -> bool:
-        """Whether the Krylov method took long for a single reward."""
+        """Whether BiCGStab took many passes for a single reward."""
         return self._iteration.dearest > _DEAR
 
     @cached_property
@@ -104,7 +110,7 @@ class LargeComponent:
 
     @cached_property
     def _band(self) -> tuple[IntArray, int]:
-        """An order in which the component is a narrow band, and the bandwidth."""
+        """Order of the states in which the matrix is a narrow band, and the bandwidth."""
         order = sp.csgraph.reverse_cuthill_mckee(self._own, symmetric_mode=False)
         place = np.empty(len(order), dtype=np.int64)
         place[order] = np.arange(len(order))
@@ -132,7 +138,11 @@ class LargeComponent:
         return max(self._iteration.products - before, 1)
 
     def reduce(self, rewards: FloatArray, x: FloatArray) -> None:
-        """Solve the equations by state reduction without any subtraction.
+        """Solve the equations in place by state reduction, without any subtraction.
+
+        Args:
+            rewards: rewards of the whole chain, [states, rewards].
+            x: totals of the whole chain; written for the members, [states, rewards].
 
         Raises:
             SolverError: the component is not narrow enough, or numba is missing.
@@ -140,10 +150,10 @@ class LargeComponent:
         order, width = self._band
         is_compiled = accelerated(_MOST_BAND_WORK, *_ELIMINATION)  # there is no numpy twin
         if not is_compiled or len(order) * width**2 > _MOST_BAND_WORK:
-            hint = "" if is_compiled else ": install numba, pip install '.[fast]'"
+            hint = "try a discount" if is_compiled else "install numba, pip install '.[fast]'"
             raise SolverError(
                 "a policy leaves the process too rarely to compute its totals in double "
-                f"precision{hint}"
+                f"precision: {hint}"
             )
         exits, right = self._leaving / self._departs, self._right(rewards, x)
         x[self._states] = band_solver(self._own, exits, order, width)(right)
@@ -155,7 +165,10 @@ class LargeComponent:
 
     @with_twin
     def _right(self, rewards: FloatArray, x: FloatArray) -> FloatArray:
-        """Compute the right side, conditioned on departing, [members, rewards]."""
+        """Compute the right side from rewards and totals outside the component.
+
+        [members, rewards]; divided by the probabilities of departing.
+        """
         if not accelerated(self._own.nnz, "equations.from_beyond"):
             outside = np.where((self._place < 0)[:, None], x, 0.0)
             beyond = rewards[self._states] + self._chain[self._states] @ outside
@@ -181,10 +194,10 @@ class LargeComponent:
 
 
 class Iteration:
-    """Equations ``y = right + own @ y`` whose iteration converges."""
+    """An iterative solution of equations ``y = right + own @ y``."""
 
     def __init__(self, own: sp.csr_array, direct_work: Callable[[], float]) -> None:
-        """Set up the iteration of a chain's equations, or of the equations of its visits.
+        """Set up the iteration for a chain's totals, or for the visits of its states.
 
         Args:
             own: the matrix in the order of sweeps, without a diagonal, [members, members].
@@ -202,7 +215,7 @@ class Iteration:
         return max(int(most) - self.products, 0)
 
     def solve(self, right: FloatArray, y: FloatArray, accuracy: float) -> bool:
-        """Solve in place by sweeps or BiCGStab; false if a direct solution takes less work.
+        """Solve in place by sweeps or BiCGStab; return false if a direct solution is faster.
 
         Args:
             right: [members, rewards].
@@ -249,7 +262,7 @@ class Iteration:
         return change, float(np.abs(ahead).max(initial=0.0))
 
     def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """Sweep in place while the changes contract well; return whether the target is met.
+        """Sweep in place while the changes shrink fast; return whether the target is met.
 
         Args:
             right: [members, rewards].
@@ -266,7 +279,7 @@ class Iteration:
             if relative <= target:
                 return True
             if not np.isfinite(relative):
-                raise SolverError("a policy's totals overflow")
+                raise SolverError("the totals of a policy overflow: scale the costs down")
             judged = len(changes) >= _TRIAL
             if judged and relative > _CONTRACTION**_TRIAL * changes[-_TRIAL]:
                 return False
@@ -274,7 +287,7 @@ class Iteration:
         return False
 
     def _by_krylov(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """Solve each reward by BiCGStab; return whether all rewards met the target."""
+        """Solve for each reward by BiCGStab, in place; return whether all met the target."""
         for j in range(right.shape[1]):
             before = self.products
             column, wanted = np.ascontiguousarray(y[:, j]), np.ascontiguousarray(right[:, j])
@@ -286,7 +299,11 @@ class Iteration:
         return True
 
     def _krylov(self, right: FloatArray, y: FloatArray, target: float) -> float:
-        """Solve one reward by BiCGStab, in place; return the relative change of another sweep."""
+        """Solve for one reward by BiCGStab, in place.
+
+        Returns:
+            The relative change that one more sweep would make.
+        """
         kept, before = y.copy(), np.inf
         for attempt in range(_RESTARTS + 1):
             swept = y.copy()
@@ -309,7 +326,7 @@ class Iteration:
 
     @with_twin
     def _step(self, residual: FloatArray, target: float) -> FloatArray:
-        """Return BiCGStab's correction, with a residual of at most the target."""
+        """Return a correction by BiCGStab that reduces the residual to at most ``target``."""
         most = min(_KRYLOV_STEPS, self._passes_left // 2 + 1)
         if accelerated(most * self.own.nnz, *_KRYLOV):
             from ssp_lp.compiled.equations import bicgstab, start_bicgstab
@@ -338,7 +355,7 @@ class Iteration:
 
 
 def dense_solver(matrix: sp.csr_array, exits: FloatArray) -> Solver:
-    """Solve the equations of a few states by dense LU with one step of refinement.
+    """Build a solver for few states, by dense LU factors with one step of refinement.
 
     Args:
         matrix: [states, states].
@@ -366,7 +383,7 @@ def dense_solver(matrix: sp.csr_array, exits: FloatArray) -> Solver:
 
 
 def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None) -> Solver:
-    """Solve the equations of a chain by sparse factors with one step of refinement.
+    """Build a solver by sparse LU factors with one step of refinement.
 
     Args:
         matrix: [states, states].
@@ -379,8 +396,8 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
     size = len(exits)
     if size > _MOST_STATES and order is None:
         raise SolverError(
-            f"a policy's equations on {size:,} states that reach each other are too many to solve "
-            "directly: a discount may help"
+            f"{size:,} states that reach each other under a policy are too many for a direct "
+            "solver: try a discount"
         )
     system = equations(matrix, exits, order)
     factors = factorised(system, in_order=order is not None)
@@ -396,12 +413,12 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
 
 
 def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width: int) -> Solver:
-    """Solve the equations of a narrow chain by compiled state reduction without subtractions.
+    """Build a solver by compiled state reduction, without subtractions, for a narrow band.
 
     Args:
         matrix: without self-loops, [states, states].
         exits: [states].
-        order: states in the order in which the chain is narrow.
+        order: order of the states in which the matrix is a narrow band.
         width: greatest distance of a state and its successor in that order.
 
     Raises:
@@ -428,7 +445,7 @@ def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width:
 
 
 def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
-    """Return results in the order of the states, from the order of the solver."""
+    """Reorder results from the solver's order of the states to the original one."""
     if order is None:
         return np.asarray(ordered)
     result = np.empty_like(ordered)
@@ -440,7 +457,7 @@ def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
 def on_departing(
     chain: sp.csr_array, exits: FloatArray, states: IntArray, place: IntArray
 ) -> tuple[sp.csr_array, FloatArray, FloatArray]:
-    """Return a component's moves, conditioned on departing from the state.
+    """Return a component's moves, divided by the probability of departing from the state.
 
     Args:
         chain: transitions of the whole chain, [states, states].
@@ -449,8 +466,8 @@ def on_departing(
         place: position of each state among the members; -1 elsewhere, [states].
 
     Returns:
-        Conditional moves, [members, members]; the probability of departing, and its part that
-        leaves the component, [members] each.
+        The divided moves, without self-loops, [members, members]; the probability of departing,
+        and the probability of leaving the component at once, [members] each.
 
     Raises:
         SolverError: some state is never departed from.
@@ -483,10 +500,12 @@ def on_departing(
 def departures(
     matrix: sp.csr_array, exits: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Return a chain's moves to other states, and the probability of departing, a sum, not 1 - p.
+    """Return a chain's moves to other states, and the probability of departing from each state.
+
+    The probability of departing is a sum of moves and exit, since 1 - p would lose digits.
 
     Args:
-        matrix: [states, columns], of which the states come first.
+        matrix: transitions; the first columns are the states, [states, columns].
         exits: [states].
 
     Returns:
@@ -507,7 +526,7 @@ def departures(
 def equations(
     matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None
 ) -> sp.csc_array:
-    """Build the matrix ``I - chain``, with its diagonal as the sum of departures.
+    """Build the matrix ``I - chain``, whose diagonal is the probability of departing.
 
     Args:
         matrix: [states, states].
@@ -533,7 +552,11 @@ def equations(
 
 
 def factorised(system: sp.csc_array, *, in_order: bool = False) -> sp.linalg.SuperLU:
-    """Compute sparse factors, in the given order if that is topological.
+    """Compute sparse LU factors.
+
+    Args:
+        system: the matrix.
+        in_order: whether to keep its order of states, which must be topological.
 
     Raises:
         SolverError: the matrix is singular.
@@ -554,9 +577,9 @@ def factorised(system: sp.csc_array, *, in_order: bool = False) -> sp.linalg.Sup
 def reduction_solver(inner: FloatArray, leaving: FloatArray) -> Solver:
     """Build a direct solver by state reduction, accurate relative to every entry.
 
-    Grassmann, Taksar and Heyman (1985): a state is eliminated by redirecting its inflow to its
-    successors; the probability of departing is summed, never computed as 1 - p. States are
-    eliminated in blocks, whose effect on all others is one product of matrices.
+    A state is eliminated by redirecting its inflow to its successors (Grassmann, Taksar and Heyman
+    1985). The probability of departing is summed, never computed as 1 - p. States are eliminated in
+    blocks, whose effect on all other states is one product of matrices.
 
     Args:
         inner: probabilities among the states, [states, states]; overwritten.
@@ -585,7 +608,7 @@ def reduction_solver(inner: FloatArray, leaving: FloatArray) -> Solver:
     np.fill_diagonal(factors, departs)
 
     def solve(rewards: FloatArray) -> FloatArray:
-        """Return the totals of rewards; off-diagonal entries are negative, so nothing cancels."""
+        """Return the totals of rewards; all terms have one sign, so that no digits cancel."""
         entered = scipy.linalg.solve_triangular(factors, rewards)
         return np.asarray(
             scipy.linalg.solve_triangular(factors, entered, lower=True, unit_diagonal=True)

@@ -1,13 +1,14 @@
-"""Certified lower bounds: values v with v <= T v, checked by one backup with its rounding.
+"""Certified lower bounds: values v with v <= T v, T the Bellman operator, checked with rounding.
 
 If v satisfies v_s <= c_u + P_u v for every pair u of s, then v bounds the cost of every policy from
 below. For policies that leave the process this follows by iterating the inequality. Policies that
 stay for ever fail, and failing costs at least v. The inequality is checked as ``c_u +
 sum_j p_uj (v_j - v_s) - exit_u v_s >= 0`` (see ``evaluation``).
 
-Near-optimal values violate it by rounding only, and are lowered as little as possible. The
-violation at a state is called its lack. If a state is lowered by its lack, its predecessors lack as
-much, so the lacks of the steps of a run add up: values are lowered by the sum along a whole run.
+Values that satisfy the inequality are a sub-solution. Near-optimal values violate it by rounding
+only, and are lowered as little as possible. The violation at a state is called its lack. Lowering a
+state by its lack lowers the backups of its predecessors, which then violate the inequality. Each
+value is therefore lowered by the sum of the lacks along a whole run.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ _ONE = np.ones(1)
 
 @dataclass(frozen=True, eq=False)
 class DualBound:
-    """Values that bound the optimum from below, as sums of two numbers."""
+    """Values that bound the optimum from below, as sums ``values + low``."""
 
     values: FloatArray  # [states]
     low: FloatArray  # [states] to be added to the values
@@ -92,7 +93,7 @@ def dual_bound(
     start: FloatArray | None = None,
     least_loss: float | None = None,
 ) -> DualBound:
-    """Lower given values as little as possible to a checked sub-solution.
+    """Reduce given values as little as possible to a checked sub-solution.
 
     If runs are very long, even values that are optimal to rounding would have to be lowered by more
     than rounding. Such values are recomputed in twice the working precision.
@@ -104,8 +105,9 @@ def dual_bound(
         floor: a constant that is known to be a sub-solution: 0 if no pair cost is negative.
         choice: a policy that leaves and has about these values, [states].
         start: positive in states where the bound must be near the values, [states]; None: all.
-        least_loss: sufficient distance from the values, for probabilities (which are not recomputed
-            if there are many states); None: a share of the values' size.
+        least_loss: distance from the values that is small enough, if the values are probabilities,
+            which are not recomputed if there are many states. None: a share of the values' size is
+            small enough.
 
     Returns:
         Values that are checked lower bounds of the optimum.
@@ -120,14 +122,14 @@ def dual_bound(
     enough = PROVED * scale if least_loss is None else least_loss
     lack, worst = shortfall(dynamics, pair_cost, values), np.inf
     lowered = np.full_like(values, floor)
-    if lack.any() and least_loss is not None:  # for probabilities, sweeps often suffice
+    many = dynamics.n_states > DIRECT_STATES
+    if many and lack.any() and least_loss is not None:  # for probabilities, sweeps often suffice
         lowered, worst = raised(dynamics, pair_cost, lowered, values, starts, enough)
     if worst > enough:
         found = lowered_to_backups(dynamics, pair_cost, values, lack, floor)
         lowered = np.maximum(lowered, found)  # the maximum of two sub-solutions is one
         lowered, worst = raised(dynamics, pair_cost, lowered, values, starts, enough)
     bound = DualBound(lowered, np.zeros_like(lowered))
-    many = dynamics.n_states > DIRECT_STATES
     if worst <= (PROVED_OF_MANY * scale if many else enough) or (many and least_loss is not None):
         return bound
     if float(lack.max(initial=0.0)) > NEARLY * scale:
@@ -139,7 +141,7 @@ def dual_bound(
 def sub_solution(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float = 0.0
 ) -> FloatArray:
-    """Lower given values to a sub-solution that is checked in working precision.
+    """Reduce given values to a sub-solution that is checked in working precision.
 
     Args:
         dynamics: the process.
@@ -188,14 +190,14 @@ def _precise_bound(
 def _bound_advantages(
     dynamics: Dynamics, pair_cost: FloatArray, high: FloatArray, low: FloatArray
 ) -> FloatArray:
-    """Return advantages in twice the precision minus their rounding, [pairs]."""
+    """Return lower bounds of advantages, computed in twice the working precision, [pairs]."""
     ahead, rounding = dynamics.moves.precise_advantages(pair_cost, high, low)
     return ahead - rounding
 
 
 @with_twin
 def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the excess of values over their backups, with rounding, [states]."""
+    """Return upper bounds of the excess of values over their backups, at least 0, [states]."""
     check_time()
     if accelerated(len(dynamics.transitions.indices), "equations.shortfalls_safely"):
         from ssp_lp.compiled.equations import shortfalls_safely
@@ -212,11 +214,14 @@ def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> 
 def lowered_along_longest_run(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float, choice: IntArray
 ) -> FloatArray | None:
-    """Lower values along the worst near-optimal policy; None if the lowering exceeds rounding.
+    """Reduce values v to a sub-solution along the worst near-optimal policy.
 
-    Take as the cost of a step its pair's reduced cost, minus a few times the greatest lack. With
-    the least totals w of these costs, ``v + w`` is a sub-solution. Without cycles each value is
-    lowered to its backup in turn, ends first, which is the least possible lowering.
+    The cost of a step is taken as its pair's advantage, minus a few times the greatest lack. If w
+    are the least expected totals of these costs, ``v + w`` is a sub-solution. In a process without
+    cycles each value is lowered to its backup, ends first, which is the least possible lowering.
+
+    Returns:
+        The sub-solution; None if values had to be lowered by more than rounding.
     """
     if not dynamics.is_solved_backwards:
         return None
@@ -254,7 +259,7 @@ def lowered_to_backups(
     lack: FloatArray,
     floor: float,
 ) -> FloatArray:
-    """Lower values repeatedly until none exceeds its backup."""
+    """Reduce values to a sub-solution; ``lack``, [states], is their excess over their backups."""
     if not lack.any():
         return values
 
@@ -300,20 +305,21 @@ def raised(
     asked: IntArray,
     enough: float,
 ) -> tuple[FloatArray, float]:
-    """Raise a sub-solution by backups rounded down, which remain sub-solutions.
+    """Raise a sub-solution by backups rounded down; it remains a sub-solution.
 
-    Sweeps end if the loss at all states ``asked`` is small enough, or if they are too slow.
+    The loss is the distance from the values before they were lowered. Sweeps end if the loss at all
+    states ``asked`` is small enough, or if it falls too slowly.
 
     Args:
         dynamics: the process.
         pair_cost: [pairs].
         lowered: a checked sub-solution, [states].
         values: the values before lowering, [states].
-        asked: the states that count.
-        enough: the loss that is allowed there.
+        asked: states at which the loss must be small.
+        enough: loss that is small enough.
 
     Returns:
-        The sub-solution, and the greatest loss at the states that count.
+        The sub-solution, and the greatest loss at the states ``asked``.
     """
     lost, size = values - lowered, np.abs(pair_cost)
     offsets, rows, cost = dynamics.pair_offsets, dynamics.transitions, PairCost(pair_cost)
@@ -336,11 +342,11 @@ def _longest_run(
     lack: FloatArray,
     least: FloatArray,
 ) -> FloatArray | None:
-    """Sum the lack along the worst near-optimal policy, [states]; None if it never ends.
+    """Sum the lacks along the worst near-optimal policy, from each state, [states].
 
-    A state that lacks something counts with at least ``least``, [states]. Lowering the values by
-    this sum absorbs the lack along whole runs: the violation times the longest expected run
-    (mathematics, section 5). States from which no lack is reached do not change.
+    Lowering the values by this sum absorbs the violation times the longest expected run
+    (mathematics, section 5). States from which no lack is reached do not change. A lack above 0
+    counts as at least ``least``, [states]. The result is None if the policy never ends.
     """
     pair_offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     worst_lack, met = float(lack.max()), lack > 0

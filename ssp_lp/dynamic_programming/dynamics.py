@@ -65,8 +65,9 @@ probability of departing, 0 if a pair only waits, [some pairs]."""
 class Dynamics:
     """Pairs of each state, their transitions, and their probabilities of leaving for good.
 
-    The exits are stored. Computed as ``1 - sum`` a tiny exit would be lost to rounding. Row and
-    exit are exact data, even if their sum differs from 1 by rounding.
+    The exits (probabilities of leaving) are stored, since a tiny exit that is computed as ``1 -
+    sum`` would be lost to rounding. Row and exit are exact data, even if their sum differs from 1
+    by rounding.
     """
 
     pair_offsets: IntArray  # [states + 1]
@@ -112,8 +113,8 @@ class Dynamics:
     def rows(self) -> tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray]:
         """The arrays in the types of compiled loops.
 
-        Integers have 32 bits if that suffices, and all have the same number: numba 0.60 confuses
-        tuples of arrays that differ in it.
+        All integer arrays have 32 bits or, if that does not suffice, 64 bits: numba 0.60 confuses
+        tuples of arrays with different integer types.
         """
         rows, most = self.transitions, np.iinfo(np.int32).max
         integer = np.dtype(np.int32 if len(rows.indices) <= most else np.int64)
@@ -125,7 +126,7 @@ class Dynamics:
 
     @property
     def is_compiled_backwards(self) -> bool:
-        """Whether a backward pass runs compiled, if passes are repeated on fewer entries."""
+        """Whether a backward pass runs compiled; passes that will be repeated count together."""
         passes = _LAYERS if self.is_reused else 1
         return accelerated(passes * len(self.transitions.indices), *_BACKWARDS)
 
@@ -189,7 +190,10 @@ class Dynamics:
         return most_sweeps
 
     def chain(self, choice: IntArray) -> System:
-        """Return the equations of a policy, [states]; the last few are kept with factors."""
+        """Return the equations of a policy, a pair of each state, [states].
+
+        The equations of the last few policies are kept, with their factors.
+        """
         kept, is_kept = self._chains, self.n_states <= _KEPT_STATES
         key = choice.astype(np.int32, copy=False).tobytes() if is_kept else b""
         if is_kept and key in kept:
@@ -202,7 +206,7 @@ class Dynamics:
         return chain
 
     def restricted(self, kept: IntArray) -> Dynamics:
-        """Return the dynamics with some pairs only, ascending, at least one for each state."""
+        """Return the dynamics with only some pairs, ascending, at least one for each state."""
         if len(kept) == len(self.exits):
             return self  # keeps the equations solved so far
         counts = np.bincount(self.pair_state[kept], minlength=self.n_states)
@@ -214,7 +218,7 @@ class Dynamics:
 
     @cached_property
     def _chains(self) -> dict[bytes, System]:
-        """The last few equations that were used, by policy."""
+        """Equations of the last few policies, by the bytes of the policy."""
         return {}
 
 
@@ -247,8 +251,8 @@ def without_self_loops(
 ) -> tuple[sp.csr_array, FloatArray]:
     """Remove self-loops by conditioning each row on departing from its state.
 
-    No total changes; the other entries are divided by the probability of departing. It is summed
-    from these entries, since 1 - p would lose digits in slow loops.
+    All other entries are divided by the probability of departing, so that no total changes. This
+    probability is the sum of these entries, since 1 - p would lose digits in slow loops.
 
     Args:
         rows: [rows, states], without duplicates.
@@ -256,8 +260,8 @@ def without_self_loops(
         leak: mass of each row that leaves ``rows``, [rows].
 
     Returns:
-        The rows without self-loops, divided by the probability of departing, and that
-        probability, [rows]. A row that never departs is left as it is, with 1.
+        The rows without self-loops, divided by the probability of departing, and this
+        probability, [rows]. A row that never departs is returned unchanged, with probability 1.
     """
     entry = rows.tocoo()
     away = entry.col != home[entry.row]
@@ -274,7 +278,7 @@ def without_self_loops(
 def leaving_choice(
     dynamics: Dynamics, goal: FloatArray, to_goal: IntArray | None = None
 ) -> IntArray:
-    """Find a policy that leaves from every state, towards the goal if possible, [states].
+    """Find a policy that leaves the process from every state, by the goal if possible, [states].
 
     Args:
         dynamics: the process.
@@ -290,7 +294,7 @@ def leaving_choice(
 def leaving_chain(
     dynamics: Dynamics, choice: IntArray, before: IntArray | None
 ) -> tuple[System, IntArray]:
-    """Return the chain of a policy in which states that never leave take their earlier pair.
+    """Return a policy's chain; states that it never leaves take their earlier pair instead.
 
     Args:
         dynamics: the process.
@@ -301,7 +305,7 @@ def leaving_chain(
         The chain and its policy.
 
     Raises:
-        SolverError: the states did not leave by their earlier pairs either.
+        SolverError: the states never leave by their earlier pairs either.
     """
     system = dynamics.chain(choice)
     while (closed := system.closed).size:

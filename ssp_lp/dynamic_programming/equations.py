@@ -3,8 +3,8 @@
 The chain's strong components are solved ends first: a single state by substitution, a small or
 narrow component by state reduction without subtractions, a large one by sweeps, then by a Krylov
 method preconditioned by them, then by sparse factors (``chain_solvers``). State reduction is
-accurate relative to each entry whatever the condition (Grassmann, Taksar and Heyman 1985);
-``evaluate_chain`` checks the results of the other methods.
+accurate relative to each entry, whatever the condition number (Grassmann, Taksar and Heyman 1985).
+``evaluate_chain`` checks the results of all other methods.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ _NOBODY = np.zeros(0, dtype=np.int64)
 
 
 class System:
-    """Equations of a substochastic chain whose exits are stored."""
+    """Equations of a substochastic chain, given by its transitions and its exits."""
 
     def __init__(self, matrix: sp.csr_array, exits: FloatArray) -> None:
-        """State the equations.
+        """Set up the equations.
 
         Args:
             matrix: probabilities of going on, [states, states].
@@ -73,7 +73,7 @@ class System:
         self._reductions: dict[int, tuple[sp.csr_array, Solver]] = {}
 
     def __reduce__(self) -> tuple[type[System], tuple[sp.csr_array, FloatArray]]:
-        """Copy and pickle the equations without factors, which are computed again."""
+        """Return what a copy or pickle needs: the copy computes factors again."""
         return System, (self.matrix, self.exits)
 
     @property
@@ -104,7 +104,7 @@ class System:
 
     @cached_property
     def closed(self) -> IntArray:
-        """States that the chain never leaves, [some states]."""
+        """States of strong components that the chain never leaves, ascending."""
         strong, rows = self.components, self.matrix
         left = np.zeros(strong.n_components, dtype=np.bool_)
         left[strong.label[self.exits > 0.0]] = True
@@ -169,7 +169,7 @@ class System:
         return x.reshape(rewards.shape)
 
     def _reduced(self, c: int) -> tuple[sp.csr_array, Solver]:
-        """Return a component's rows and its solver by state reduction, which is kept if small."""
+        """Return a component's rows and its solver by state reduction; small ones are kept."""
         if c not in self._reductions:
             states = self.components.members(c)
             rows, beyond = sp.csr_array(self.matrix[states]), np.ones(self.size)
@@ -210,9 +210,10 @@ class System:
 
     @cached_property
     def _transposed_iteration(self) -> tuple[FloatArray, IntArray, Iteration]:
-        """Departures, [states], order, and iteration of the transposed equations.
+        """Probabilities of departing, [states], order of the states, and iterative solution.
 
-        The unknowns are the expected numbers of departures from the states, in that order.
+        The unknowns of the iteration are the expected numbers of departures from the states, in
+        this order.
         """
         strong, (row, column, data, departs) = self.components, departures(self.matrix, self.exits)
         order, place = strong.order[::-1], np.empty(self.size, dtype=np.int32)
@@ -250,7 +251,7 @@ class System:
 
     @cached_property
     def _factors(self) -> Solver:
-        """Solver of all equations together, by factors."""
+        """Solver of all equations together, by LU factors."""
         if self.size <= _DENSE_STATES:
             return dense_solver(self.matrix, self.exits)
         return factor_solver(self.matrix, self.exits)
@@ -275,7 +276,7 @@ class System:
 
     @cached_property
     def _kept(self) -> dict[tuple[int, int], Solver]:
-        """Solvers that are kept, by range of components."""
+        """Cache of solvers, by range of components."""
         return {}
 
     def _solve_compiled(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
@@ -352,6 +353,6 @@ def strong_components(
     label = sp.csgraph.connected_components(edges, connection="strong")[1]
     entry = edges.tocoo()
     if (label[entry.row] < label[entry.col]).any():  # scipy does not document the order
-        raise SolverError("the strong components that scipy found are in no topological order")
+        raise SolverError("scipy lists strong components in no topological order: install numba")
     order = np.argsort(label, kind="stable").astype(np.int32)
     return StrongComponents(label, order, offsets_of(np.bincount(label)))

@@ -51,7 +51,7 @@ _Solve = Callable[[FloatArray, FloatArray | None, float], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Totals:
-    """Expected totals, as sums of two numbers, with a bound of their error."""
+    """Expected totals, as sums ``values + low``, with a bound of their error."""
 
     values: FloatArray  # [states, rewards]
     low: FloatArray  # [states, rewards] rounding errors of the values
@@ -64,7 +64,7 @@ class Totals:
         return 2.0 * np.outer(self.runs, self.missed)
 
     def are_within(self, accuracy: float) -> bool:
-        """Return whether all errors are within an accuracy, relative to each reward's greatest."""
+        """Return whether all errors are small relative to the greatest total of their reward."""
         longest = float(self.runs.max(initial=0.0))
         scale = _sizes_of_totals(self.values)
         return bool((2.0 * longest * self.missed <= accuracy * scale).all())
@@ -74,11 +74,13 @@ class Totals:
 def evaluate_policy(
     dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None = None
 ) -> Totals:
-    """Evaluate a policy to verified totals, in one pass if the process is solved backwards.
+    """Evaluate a policy: expected totals with a verified error.
+
+    A process of small components is evaluated in one compiled pass, ends first.
 
     Args:
         dynamics: the process.
-        choice: [states].
+        choice: a pair of each state, [states].
         rewards: [pairs, rewards].
         accuracy: see ``evaluate_chain``.
 
@@ -123,12 +125,13 @@ def acyclic_totals(
 
     Args:
         dynamics: the process.
-        choice: pairs, which are kept among equally good ones, [states].
+        choice: a pair of each state, kept if no other pair is better, [states].
         rewards: [pairs, rewards].
-        weights: of the rewards, whose sum is minimised, [rewards]; None: the pairs stay.
+        weights: weights of the rewards in the total to minimise, [rewards]; None: evaluate
+            ``choice``.
 
     Returns:
-        Pairs and totals; None if the process is of another kind, or rounding may exceed
+        Pairs and totals; None if the process is small or has cycles, or if rounding may exceed
         ``EVALUATED``.
 
     Raises:
@@ -191,8 +194,8 @@ def evaluate_chain(
 def _reduced_totals(system: System, rewards: FloatArray) -> Totals:
     """Evaluate a chain that is left too rarely to verify residuals, by state reduction alone.
 
-    State reduction subtracts nothing, so that every total of rewards of one sign is accurate
-    whatever the condition (Alfa, Xue and Ye 2002); gains and losses are summed separately.
+    State reduction subtracts nothing, so that every total of rewards of one sign is accurate,
+    whatever the condition number (Alfa, Xue and Ye 2002). Gains and losses are summed separately.
 
     Raises:
         SolverError: a component is too large for state reduction.
@@ -238,7 +241,7 @@ def _verified_totals(
 
 
 def _greatest_residual(system: System, rewards: FloatArray, x: FloatArray) -> FloatArray:
-    """Bound the greatest residual of a policy's totals in working precision, [rewards]."""
+    """Return upper bounds of the residuals of a policy's totals, [rewards]."""
     most = np.empty(rewards.shape[1])
     for j in range(most.size):
         check_time()

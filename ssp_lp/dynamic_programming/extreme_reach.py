@@ -1,10 +1,10 @@
 """Extreme probabilities of leaving a process by one of two exits, and the pairs that attain them.
 
-The probabilities of hitting and missing are each summed from their own exits, so that both are
-accurate relative to their size. A pair attains the extreme if taking it, as often as a run returns
-to it, loses no more than rounding. (In a loop that is rarely left, small losses add up.) If a
-component is too large for state reduction, a pair may lose a hundred ``FAILURE_FLOOR`` a step, and
-``LEAST_BUDGET`` over the longest run of the quickest policy.
+The probabilities of the two exits are each summed from their own data, so that both are accurate
+relative to their size. A pair attains the extreme if a policy that takes it whenever possible loses
+no more than rounding. (In a loop that is rarely left, small losses of single steps add up.) If a
+component is too large for state reduction, a coarser rule holds: a pair may lose a hundred times
+``FAILURE_FLOOR`` in a step, and ``LEAST_BUDGET`` over the longest run of the quickest policy.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    unsigned,
 )
 from ssp_lp.compiled.accelerator import accelerated, with_twin
-from ssp_lp.compiled.deadline import STOPS, closing, end_with_incumbent, pieces
-from ssp_lp.dynamic_programming.bellman import best_pairs
+from ssp_lp.compiled.deadline import STOPS, check_time, closing, end_with_incumbent, pieces
+from ssp_lp.dynamic_programming.bellman import MOST_CACHED, best_pairs, chosen_rows
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACTLY_SOLVED
@@ -79,7 +80,7 @@ def extreme_reach(
 ) -> ExtremeReach:
     """Compute the greatest or least probability of leaving by the exit ``hit``, from every state.
 
-    No policy may be able to stay for ever (end components are collapsed, or there are none).
+    Every policy must leave the process: it has no end components, or they are collapsed.
 
     Args:
         dynamics: the process.
@@ -87,12 +88,12 @@ def extreme_reach(
         miss: probability of leaving it by the other exit, [pairs].
         greatest: whether to maximise; else the probability is minimised.
         start: positive in the states in which the bound must be tight, [states]; None: all.
-        last_digits: whether all pairs that attain the extreme are needed. Otherwise sweeps may
-            enclose the greatest probability from both sides, and if the time ends the result is
-            that of the policy found so far.
+        last_digits: whether all pairs that attain the extreme are needed. If not, sweeps may
+            enclose the greatest probability between two bounds. If the time then ends, the best
+            policy found so far is returned.
 
     Raises:
-        Stop: the time ended.
+        Stop: the time ended before there was a result.
     """
     # maximise the wanted exit, that is minimise the other: each is exact if it is small
     both = np.stack([hit, miss] if greatest else [miss, hit], axis=1)
@@ -168,22 +169,24 @@ def _settled_reach(
 def _swept_towards(
     dynamics: Dynamics, wanted: FloatArray, asked: IntArray, last_digits: bool
 ) -> tuple[IntArray, FloatArray, FloatArray | None]:
-    """Improve, by sweeps in the order of distance, a policy of extreme reach that leaves.
+    """Find a policy of nearly greatest probability of the wanted exit, by sweeps.
 
-    Values rise from 0, and each is rounded down when it takes a better pair. So the policy attains
-    them, and it leaves, since values in a cycle would fall by rounding. Then values a little above
-    these are swept, rounded up. If a sweep raises none of them, no policy attains more (optimistic
-    value iteration: Hartmanns and Kaminski, CAV 2020).
+    The sweeps take the states in the order of their distance from the exit. Values rise from 0, and
+    each is rounded down when its state takes a better pair. The policy attains these values. It
+    also leaves the process, since values along a cycle would fall by rounding.
+
+    Then values a little above these are swept, rounded up. If a sweep raises none of them, no
+    policy attains more (optimistic value iteration: Hartmanns and Kaminski, CAV 2020).
 
     Args:
         dynamics: the process.
         wanted: probability of leaving by the wanted exit, [pairs].
         asked: states at which the optimum must be enclosed.
-        last_digits: whether policy iteration follows in any case.
+        last_digits: whether policy iteration will follow, so that upper bounds are not needed.
 
     Returns:
-        The policy, lower bounds of its values and upper bounds of the optimum at the states
-        ``asked``, [states] each; None for upper bounds that are not proved.
+        The policy, lower bounds of its values, and upper bounds of the optimum, [states] each. The
+        upper bounds are near at the states ``asked``; they are None if not proved.
     """
     distance = np.zeros(dynamics.n_states, dtype=np.int32)
     choice = nearer_pairs(dynamics.graph, wanted > 0.0, distance=distance)
@@ -214,7 +217,7 @@ def _swept_towards(
                 waiting = ahead[asked] if slower > _QUICK else ahead
                 if float(waiting.max(initial=0.0)) <= near * size:
                     high, near = np.minimum(low + ahead + 0.5 * PROVED * size, 1.0), _NEARER * near
-                    for ups in range(1, max(turn, _SWEEPS) + 1):
+                    for ups in range(1, max(_WAITED * turn, _SWEEPS) + 1):
                         settled = sweep(high, up=True) <= 0.0
                         next_attempt = turn + 1 + ups // _WAITED  # at most half of the time
                         if ((high - low)[asked] > PROVED * size).any():
@@ -240,7 +243,7 @@ def _sweep(
     *,
     up: bool = False,
 ) -> float:
-    """Sweep over all pairs, then along the chosen ones; return the greatest rise.
+    """Improve values over all pairs, then follow the chosen pairs; return the greatest rise.
 
     Args:
         dynamics: the process.
@@ -266,20 +269,24 @@ def _sweep(
         return rise
     from ssp_lp.compiled.policy_improvement import follow_reach, sweep_reach
 
-    pairs = choice.view(np.uint32)
+    how = wanted, MACHINE_EPSILON, up, choice.view(np.uint32), values
     for some in pieces(order.size, rows.nnz):
-        rise = max(rise, sweep_reach(
-            dynamics.rows, order[some], wanted, MACHINE_EPSILON, up, pairs, values
-        ))  # fmt: skip
-    for _ in range(0 if up or rise == 0.0 else _FOLLOWED):
-        order = next(directions)
-        for some in pieces(order.size, order.size):
-            follow_reach(dynamics.rows, order[some], wanted, MACHINE_EPSILON, pairs, values)
+        rise = max(rise, sweep_reach(dynamics.rows, order[some], *how))
+    if up or rise == 0.0:
+        return rise
+    pairs = own = choice[order]
+    if rows.nnz > MOST_CACHED:  # rows next to each other are read faster
+        rows, own = chosen_rows(rows, pairs), np.arange(order.size)
+    indptr, indices = unsigned(rows.indptr), unsigned(rows.indices)
+    parts = indptr[own], indptr[own + 1], indices, rows.data, order, wanted[pairs]
+    for number in range(_FOLLOWED):
+        check_time()
+        follow_reach(*parts, MACHINE_EPSILON, number % 2 == 0, values)
     return rise
 
 
 def attaining_pairs(found: ExtremeReach) -> BoolArray:
-    """Return whether a pair attains the extreme, however often it is taken, [pairs]."""
+    """Return a mask of the pairs that attain the extreme, however often they are taken, [pairs]."""
     dynamics, choice, both = found.dynamics, found.choice, found.both
     totals = found.totals or evaluate_policy(dynamics, choice, both, PRECISE)
     high, lost = totals.values.T
@@ -326,7 +333,7 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
 def _with_pairs(
     dynamics: Dynamics, tied: BoolArray, choice: IntArray
 ) -> tuple[IntArray, Dynamics, IntArray]:
-    """Return the tied pairs, the dynamics restricted to them, and the policy's places there."""
+    """Return the tied pairs, the dynamics with only these, and the policy's pairs in it."""
     kept = tied.nonzero()[0]
     place = np.full(len(tied), -1, dtype=np.int32)
     place[kept] = np.arange(kept.size)

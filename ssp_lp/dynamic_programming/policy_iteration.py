@@ -1,15 +1,16 @@
 """Policy iteration from a policy that leaves, along the structure of a process.
 
-A process of small components is solved in one pass, ends first. Others are solved by Howard's
-rounds, whose evaluations become exact as the gains shrink. Rounds alone could be as many as a run
-has steps. Therefore the policy is also improved in place between two rounds, by Bellman backups in
-the order of the values, forward and backward. Gains spread in both directions: to the predecessors
-of a state, which come later in that order, and back once a better pair leads to states that were no
-successors before.
+A process of small components is solved in one pass, ends first. A process with a large component is
+solved by Howard's rounds of evaluation and improvement, in which evaluations become exact as the
+gains shrink. The number of rounds could be as large as the number of steps of a run. Therefore the
+policy is also improved in place between two rounds, by Bellman backups of the states in increasing
+and in decreasing order of their values. In increasing order, gains spread to the predecessors of a
+state. In decreasing order they spread back, once a better pair leads to a new successor.
 
 The last policy is evaluated with a verified bound of its error. If the process is left so rarely
-that double precision cannot compare two pairs, improvement continues in twice that precision: the
-advantage of a pair in a loop that is left with probability q is q times the gain of the choice.
+that double precision cannot compare two pairs, improvement continues in twice that precision. In a
+loop that is left with probability q, the advantage of a pair is only q times what a policy gains by
+taking the pair.
 """
 
 from __future__ import annotations
@@ -104,10 +105,10 @@ def iterate_policy(
         guess: totals to start the first evaluation from, [states, rewards].
         precise: whether to compare pairs in twice the working precision at the end; None: if
             rounding may hide gains.
-        floor: gain that counts as none, in units of the totals.
+        floor: gain that counts as 0, in units of the totals.
 
     Raises:
-        Stop: the time ended; it carries the policy found so far.
+        Stop: the time ended; the error has the policy found so far.
         SolverError: a policy never leaves the process, or totals cannot be verified.
     """
     check_time()
@@ -149,7 +150,7 @@ def iterate_policy(
 
 
 def _gains_may_add_up(values: FloatArray, runs: FloatArray, left: float) -> bool:
-    """Return whether gains that count as rounding may add up along a run.
+    """Return whether gains that count as rounding may add up to more than rounding along a run.
 
     Args:
         values: [states].
@@ -176,9 +177,9 @@ def howard_rounds(
         dynamics: the process.
         rewards: [pairs, rewards].
         weights: [rewards].
-        latest: the first policy; replaced by the last policy that was evaluated.
+        latest: list with the first policy, which is replaced by the last policy evaluated.
         totals: approximate totals of the first policy, [states, rewards].
-        floor: gain of a step that counts as none, in units of the values.
+        floor: gain of a step that counts as 0, in units of the values.
 
     Returns:
         The policy, its equations and totals, the greatest gain that counted as rounding, and the
@@ -202,7 +203,7 @@ def howard_rounds(
             totals = evaluation.totals_of(system, choice)
             return choice, system, totals, greatest_gain(backup), work
         if n_rounds > MOST_ROUNDS:
-            raise SolverError("policy iteration does not converge, as policies repeat")
+            raise SolverError("rounding makes policy iteration repeat policies: try a discount")
         before, changed_before, changed = choice, changed, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
         if changed > _STEADY * changed_before and accelerated(dynamics.n_entries, _IN_PLACE):
@@ -215,16 +216,16 @@ def howard_rounds(
 
 
 def greatest_gain(backup: Backup) -> float:
-    """Return the greatest gain of a change of pair, made or counted as rounding."""
+    """Return the greatest gain, over the states, of the best pair over the present one."""
     return float((backup.here - backup.minima).max(initial=0.0))
 
 
 class _Evaluation:
-    """Evaluations in Howard's rounds, which become exact as the gains shrink.
+    """The evaluations of Howard's rounds, which become exact as the gains shrink.
 
-    Chains without a large component are always solved exactly. Others are solved iteratively, to an
-    accuracy a little finer than the last gain; if each reward takes long, only the weighted sum is
-    evaluated until the end.
+    Chains without a large component are always solved exactly. Other chains are solved iteratively,
+    to an accuracy a little finer than the last gain. If one reward takes long, only the weighted
+    sum of the rewards is evaluated until the last round.
     """
 
     def __init__(
@@ -244,13 +245,16 @@ class _Evaluation:
         self._above: FloatArray | None = None  # values of the last policy, if exact
 
     def leaving(self, choice: IntArray, before: IntArray | None) -> tuple[System, IntArray]:
-        """Return an improved policy's chain, checked to leave (if states are few, by totals)."""
+        """Return an improved policy's chain, and the policy, changed if it never leaves.
+
+        If states are few, this is not checked, since the evaluation fails for such a policy.
+        """
         if self.dynamics.n_states <= DIRECT_STATES:
             return self.dynamics.chain(choice), choice
         return leaving_chain(self.dynamics, choice, before)
 
     def evaluate(self, system: System, choice: IntArray) -> int:
-        """Evaluate a policy, and return the number of products that it took.
+        """Evaluate a policy, and return the number of passes over its chain.
 
         Raises:
             SolverError: the policy is worse than the last one.
@@ -267,13 +271,16 @@ class _Evaluation:
         if self._is_exact and self._above is not None:
             rounding = NEARLY * float(np.abs(self._above).max(initial=0.0))
             if not (self.values <= self._above + rounding).all():
-                raise SolverError("policy iteration made a policy worse, by rounding")
+                raise SolverError("rounding made the next policy worse: try a discount")
         self._above = self.values if self._is_exact else None
         products, system.products = system.products, 0
         return products
 
     def judge(self, backup: Backup) -> BoolArray | None:
-        """Return the states that improve by more than noise; None if the values are too rough."""
+        """Return a mask of the states that improve by more than the error of the values.
+
+        None: the values are too inaccurate; evaluate the policy again.
+        """
         scale = max(float(np.abs(self.values).max(initial=0.0)), 1e-300)
         grown, self._scale = scale > _RISEN * self._scale, scale
         noise = IMPROVEMENT * np.abs(backup.here) + self.floor
@@ -345,7 +352,7 @@ def improve_precisely(
         weights: [rewards].
         choice: a policy that leaves, [states].
         work: work done before.
-        floor: sum of all gains that counts as none, in units of the values.
+        floor: sum of all gains that counts as 0, in units of the values.
 
     Raises:
         Stop: the time ended.
@@ -374,7 +381,7 @@ def improve_precisely(
         best = first_minimisers(ahead, segment_minima(ahead, offsets), offsets)
         picks[np.diff(offsets) > 0] = best
         choice = np.where(gain > 0.0, picks, choice)
-    raise SolverError("policy iteration does not converge, as policies repeat")
+    raise SolverError("rounding makes policy iteration repeat policies: try a discount")
 
 
 def switched(
@@ -388,7 +395,7 @@ def switched(
         values: their values, [states] each.
 
     Returns:
-        The policy, and the number of the given policy that it follows in each state, [states] each.
+        The policy, and the index of the given policy that it follows in each state, [states] each.
     """
     choice, least = choices[0], values[0]
     follows = np.zeros(len(choice), dtype=np.int8)

@@ -1,9 +1,13 @@
 """The two-person zero-sum game at a fixed c (paper, section 3.2), and mixtures of section 3.4.
 
-The adversary mixes the objective MDP, with weight alpha, and the failure MDP; the player chooses a
-policy. The payoff ``alpha * J_obj + (1 - alpha) * (eta / epsilon) * J_cond`` is linear in alpha for
-each policy, so the least payoff ``J*(alpha)`` is concave and piecewise linear: its maximum lies
-at the crossing of two lines, of a policy that fails less and a policy that costs less.
+The adversary mixes two MDPs: the objective MDP with weight alpha, and the failure MDP. The player
+chooses a policy. The payoff ``alpha * J_obj + (1 - alpha) * (eta / epsilon) * J_cond``, which the
+player minimises, is linear in alpha for each policy. The least payoff ``J*(alpha)`` is therefore
+concave and piecewise linear. Its maximum lies where the lines of two policies cross: one policy
+fails less, the other costs less.
+
+If the goal is hardly ever reached, J_cond is nearly 1. To keep its digits, payoffs then count
+J_cond - 1 instead: J_cond is counted from the origin 1 rather than 0.
 """
 
 from __future__ import annotations
@@ -45,15 +49,18 @@ class Game:
         return self.stake / self.budget
 
     def payoff(self, alpha: float, response: BestResponse) -> float:
-        """Return the payoff J_{c,gamma,epsilon}(x', alpha, pi), J_cond counted from its origin."""
+        """Return the payoff J_{c,gamma,epsilon}(x', alpha, pi), with J_cond from its origin."""
         return response.payoff(alpha, (1.0 - alpha) * self.scale)
 
     def size(self, alpha: float, response: BestResponse) -> float:
-        """Return the sum of the absolute values of the payoff's terms."""
+        """Return the payoff's size, the sum of its absolute terms, for tolerances."""
         return response.size(alpha, (1.0 - alpha) * self.scale)
 
     def owed(self, alpha: float, origin: float) -> float:
-        """Return the term (1 - alpha) eta of the payoff if J_cond equals the budget."""
+        """Return the failure term of the payoff if J_cond equals the budget: (1 - alpha) eta.
+
+        If ``origin`` is 1, J_cond is counted from 1.
+        """
         if origin == 0.0:
             return (1.0 - alpha) * self.stake
         room = self.budget - origin if self.room is None else self.room
@@ -68,7 +75,7 @@ class Game:
         return self.excess(response) >= -_LEVEL * self.stake
 
     def best_response(self, player: Player, alpha: float, accuracy: float) -> BestResponse:
-        """Find the player's best response to alpha, which bounds J*(x', alpha)."""
+        """Find the player's best response to alpha, with bounds of J*(x', alpha)."""
         return player.response(alpha, (1.0 - alpha) * self.scale, accuracy)
 
 
@@ -84,9 +91,9 @@ class Mixture:
     def weight(self) -> float:
         """Weight of ``plus``: the equilibrium of the 2 x 2 game of section 3.4, in closed form.
 
-        Rows are the two policies, columns the two MDPs; the payoffs are J_obj and (eta / epsilon)
-        J_cond. The worse of the two payoffs is convex in the weight, with a kink where the payoffs
-        are equal: it is least there, or at one of the two policies alone.
+        The rows of this game are the two policies, its columns the two MDPs. The payoffs of a row
+        are J_obj and (eta / epsilon) J_cond. The worse of the mixture's two payoffs is convex in
+        the weight. It is least where both payoffs are equal, or at weight 0 or 1.
         """
         low, high = self.game.excess(self.minus), self.game.excess(self.plus)
         weights = [0.0, 1.0] + ([low / (low - high)] if low * high < 0.0 else [])
@@ -99,7 +106,7 @@ class Mixture:
         return objective, (1.0 - weight) * minus.condition + weight * plus.condition
 
     def _worst(self, objective: float, condition: float) -> float:
-        """Return the greater of the payoffs against the two MDPs."""
+        """Return the greater of the payoffs against the two MDPs, from J_obj and J_cond."""
         return max(objective, self.game.scale * condition)
 
     @property
@@ -140,7 +147,7 @@ class Equilibrium(Mixture):
 
     @property
     def least(self) -> float:
-        """Lower bound of J*(alpha), with J_cond counted from the origin."""
+        """Lower bound of J*(alpha*), with J_cond counted from the origin."""
         return min(self.bound, self.most)
 
     @property
@@ -150,7 +157,7 @@ class Equilibrium(Mixture):
 
     @property
     def lower(self) -> float:
-        """Lower bound of the game's value: no policy guarantees less than J*(alpha)."""
+        """Lower bound of the game's value: no lottery guarantees less than J*(alpha*)."""
         return self.least + self._shift
 
     @property
@@ -160,7 +167,7 @@ class Equilibrium(Mixture):
 
     @property
     def _shift(self) -> float:
-        """Payoff of the origin of J_cond."""
+        """Part of a payoff that is left out if J_cond is counted from the origin."""
         return (1.0 - self.alpha) * self.game.scale * self.origin
 
     @property
@@ -175,8 +182,8 @@ class Equilibrium(Mixture):
 def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:
     """Return the alpha in [0, 1] at which two policies have equal payoffs.
 
-    The lines of policies that differ by rounding alone may cross outside of [0, 1]; the nearer end
-    is returned, since one policy then dominates the other.
+    If the payoffs cross outside of [0, 1] because the policies differ by rounding only, the nearer
+    end of the interval is returned: one policy then dominates the other.
     """
     spared = minus.objective - plus.objective
     risked = game.scale * (plus.failing - minus.failing)
@@ -187,19 +194,21 @@ def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:
 def play(
     player: Player, game: Game, known: Sequence[BestResponse] = (), *, accuracy: float = 1e-11
 ) -> Equilibrium:
-    """Find the equilibrium of a game: the adversary's alpha* and the policies that meet there.
+    """Find the equilibrium of a game: the adversary's alpha* and two policies of equal payoff.
 
-    The maximum of the concave ``J*(alpha)`` is bounded by the crossing of two policies' lines,
-    until no best response lies below the crossing (paper, sections 3.2 and 3.4).
+    The payoffs of two policies are lines in alpha. Their crossing bounds the maximum of the concave
+    ``J*(alpha)`` from above. The best response there replaces one of the policies, until it does
+    not lie below the crossing (paper, sections 3.2 and 3.4).
 
     Args:
         player: finds best responses, such as ``stationary_player(problem)``.
-        game: its stake, in units of cost, and the failure budget.
-        known: policies found before, which are strategies of the game at every c.
+        game: the game, with its stake in units of cost and the failure budget.
+        known: policies found before, at any c: they are strategies of every game.
         accuracy: relative distance between the two bounds of the value, in (0, 1).
 
     Returns:
-        alpha*, the bounds of the value, in units of cost, and the policies on its two sides.
+        alpha*, bounds of the game's value in units of cost, and the policies that are optimal just
+        below and just above alpha*.
 
     Raises:
         ModelError: an argument of a wrong type, or an accuracy outside (0, 1).
@@ -234,7 +243,7 @@ def play(
 
 
 def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
-    """Return the equilibrium of known policies when time is up, without a lower bound."""
+    """Return the best mixture of known policies when time is up; its lower bound is -infinity."""
     minus, plus = _closest_to_equilibrium(game, responses)
     if minus is None or plus is None:
         minus = plus = minus or plus or responses[0]
@@ -245,10 +254,11 @@ def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
 def _closest_to_equilibrium(
     game: Game, responses: Sequence[BestResponse]
 ) -> tuple[BestResponse | None, BestResponse | None]:
-    """Find the policies nearest to the equilibrium on both sides of the diagonal; None if missing.
+    """Find the two policies whose mixture has equal and least payoffs against both MDPs.
 
-    A policy is the point (J_obj, (eta / epsilon) J_cond); the mixture with equal payoffs against
-    both MDPs is the intersection of a segment between two points with the diagonal.
+    A policy is the point (J_obj, (eta / epsilon) J_cond). A mixture with equal payoffs is the
+    intersection of the diagonal with the segment between a point on either side. A policy is None
+    if no point lies on its side.
     """
     rising = [r for r in responses if game.rises(r)]
     falling = [r for r in responses if not game.rises(r)]
@@ -263,7 +273,7 @@ def cheapest_crossing(
     right: Sequence[BestResponse],
     position: Callable[[BestResponse], float],
 ) -> tuple[BestResponse, BestResponse, float, float]:
-    """Find the cheapest lottery over a policy on each side of position 0.
+    """Find the cheapest lottery over two policies, one on each side of position 0.
 
     Args:
         left: policies at positions up to 0, to rounding.

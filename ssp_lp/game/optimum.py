@@ -41,20 +41,20 @@ from ssp_lp.processes.goal_reach import max_goal_probability
 
 _MOST_ROUNDS = 100  # most games, and most responses in a row
 _MARGINS = (0.25, 4.0, 64.0, 1024.0)
-"""Multiples of the tolerance by which a bound of the least ratio is lowered."""
+"""Multiples of the tolerance by which a ratio is lowered until it is proved to be a bound."""
 
 _STEEP = (1e3, 1e6, 1e9)
 """Prices of failure to search for cheap policies of least failure, in multiples of the cost of
 reaching the goal under one of these policies."""
 
 _LEAST_SUCCESS = 1e-6
-"""Least success by which a cost is divided to scale a price, if success is 1 - failure."""
+"""Least probability of success, if computed as 1 - failure, by which a cost is divided."""
 
 _ROOM = 1.0 + 1e-6
 """A budget up to this multiple of the least failure counts as tight."""
 
 _CANCELLED = 4.0 * MACHINE_EPSILON
-"""Relative rounding of a difference in which a steep price cancels."""
+"""Relative rounding of a difference of payoffs in which a high price of failure cancels."""
 
 _LEAST_ACCURACY = 1e-9
 """Greatest relative error of the least failure, on which feasibility depends."""
@@ -104,18 +104,19 @@ def find_threshold(
 ) -> Threshold:
     """Bracket ``min{c > 0 : game value <= eta(epsilon; c) = share * c}`` to a tolerance.
 
-    Each game moves an end of the bracket. Its value at alpha*, a bound for every policy, gives
-    ``J_obj >= (value - (1 - alpha*) eta) / alpha*`` for all policies within the budget: the lower
-    end. Its policies, mixed so that they use the whole budget, give the upper end. The next game is
-    played at the upper end, every second one at the midpoint, so that the bracket always shrinks.
+    Each game moves an end of the bracket. The game's value at alpha* is a bound for every policy:
+    policies within the budget have ``J_obj >= (value - (1 - alpha*) eta) / alpha*``, which gives
+    the lower end. The game's policies, mixed so that they use the whole budget, give the upper end.
+    Games are played at the upper end and at the midpoint alternately, so that the bracket always
+    shrinks.
 
     Args:
         player: finds best responses.
         budget: epsilon.
         share: 1 in case M, 1 - epsilon in case S.
-        previous: responses found before, ``extremes`` at least. If all of them exceed the budget,
-            it differs from the least failure by rounding and counts as equal.
-        room: the budget counted from the responses' origin, if it has more digits.
+        previous: responses found before, at least those of ``extremes``. If all of them exceed the
+            budget, they do so by rounding only, and the budget counts as the least failure.
+        room: the budget minus the responses' origin, if known to more digits than the budget.
         tolerance: relative width of the bracket to reach.
         progress: called after each game with (responses, price of failure, upper end).
     """
@@ -165,9 +166,9 @@ def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
 def _cheap_near_least_failure(
     player: Player, budget: float, previous: Sequence[BestResponse], accuracy: float
 ) -> Iterator[BestResponse]:
-    """Yield cheap policies of least failure if the budget is tight.
+    """Yield responses at high prices of failure if the budget is near the least failure.
 
-    The response of least failure ignores the cost.
+    They have about the least failure at less cost than the response that ignores the cost.
     """
     safest = min(previous, key=lambda r: r.failing)
     if budget > safest.condition * _ROOM + LEAST_BUDGET:
@@ -184,7 +185,7 @@ def _cheap_near_least_failure(
 
 
 def _threshold_from_game_value(played: Equilibrium) -> float:
-    """Return the lower bound of J_obj within the budget that the game's value at alpha* implies."""
+    """Return a lower bound of J_obj for all policies within the budget, from a game's value."""
     if played.alpha == 0.0:
         return 0.0
     owed = played.game.owed(played.alpha, played.origin)
@@ -268,7 +269,7 @@ def check_budget(
 
 
 def construct(kind: type[Player], problem: Problem, tail: float | None = None) -> Player:
-    """Build M_o and M_{d,gamma} of section 3.1, and the player on both.
+    """Build the objective MDP M_o and the failure MDP M_{d,gamma} of section 3.1, with a player.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
@@ -323,11 +324,12 @@ def find_optimum(
 ) -> GameSolution:
     """Find the optimum c* by best responses of a player.
 
-    Case M: c* is the least c whose game value is at most c. Case S: c* is the least such c over all
-    epsilon' in (0, epsilon] (Theorem 3-1). There c*(e) = F(e) / (1 - e), where F(e) is the least
-    J_obj at J_cond = e, a convex function; c* falls while ``-F'(e) > c*`` and rises after that.
-    Either it still falls at the budget, or its minimum is attained by a single policy, where the
-    price of failing is exactly c*.
+    In case M, c* is the least c whose game value is at most c.
+
+    In case S, c* is the least value of c*(e) over all budgets e in (0, epsilon] (Theorem 3-1). Here
+    c*(e) = F(e) / (1 - e), where F(e) is the least J_obj at J_cond = e, a convex function. c*(e)
+    falls while ``-F'(e) > c*(e)`` and rises after that. So it either still falls at epsilon, or a
+    single policy attains its minimum, at which the price of failing is c*.
 
     Args:
         problem: states the case and the budget.
@@ -360,10 +362,11 @@ def find_optimum(
 
 
 def _slack_bound_of_optimum(player: Player, ratio: float, budget: float, tolerance: float) -> float:
-    """Prove a lower bound of all ratios, a little below the optimum.
+    """Prove a lower bound, a little below the optimum, of the cost given success of all policies.
 
-    At such a ratio it is strictly best to fail, usually by a margin above rounding. If rounding
-    exceeds the margin, the bound is lowered by the possible loss of a policy within the budget.
+    If the cost of failing is a little below the optimal ratio, failing is strictly best, usually by
+    a margin above rounding. If rounding exceeds the margin, the bound is lowered by what a policy
+    within the budget may gain by it.
     """
     best = 0.0
     for share in _MARGINS:
@@ -386,8 +389,8 @@ def _least_ratio(
 ) -> tuple[BestResponse, tuple[BestResponse, ...], bool]:
     """Find the policy of least J_obj / (1 - J_cond) by Dinkelbach's iteration.
 
-    A ratio c is the least one if ``J_obj + c J_cond >= c`` for every policy: a policy below c has a
-    smaller ratio, which is tried next.
+    A ratio c is the least one if ``J_obj + c J_cond >= c`` for every policy. A policy that violates
+    this has a smaller ratio, which is tried next.
 
     Returns:
         The policy, all responses, and whether the search was completed.
@@ -400,7 +403,7 @@ def _least_ratio(
     if not hopeful:
         raise SolverError(
             "the game cannot compute costs given success: the goal is reached with a (discounted) "
-            f"probability of at most {responses[0].success:.1e}"
+            f"probability of at most {responses[0].success:.1e}; use a discount nearer to 1"
         )
     best = min(hopeful, key=lambda r: r.ratio)
     for _ in range(_MOST_ROUNDS):
@@ -424,8 +427,8 @@ def stationary_player(problem: Problem, tail: float | None = None) -> Player:
 
     Args:
         problem: states the case, the start and the discount.
-        tail: in case S the M of section 3.5.1, a total cost: pi'_or is followed once it is paid,
-            with J_obj undiscounted from there on. None: M grows until nothing is lost beyond it.
+        tail: in case S the total cost M of section 3.5.1: once M is paid, pi'_or is followed, and
+            J_obj is no longer discounted. None: M grows until nothing is lost beyond it.
 
     Raises:
         ModelError: no discount, a budget that is not above 0, an invalid tail, or one in case M.
@@ -451,9 +454,9 @@ def stationary_game(
 
     Args:
         problem: with a discount and a failure budget above 0.
-        tail: in case S the M of section 3.5.1 (see :func:`stationary_player`): the result is then
-            c-hat_M, the least within Pi_{M,pi'_or}, which falls to the c-hat of ``tail=None`` as M
-            grows.
+        tail: in case S the M of section 3.5.1 (see :func:`stationary_player`). The result is then
+            c-hat_M, the least c of policies in Pi_{M,pi'_or}. As M grows, it falls to the c-hat of
+            ``tail=None``.
         tolerance: relative distance between c-hat and its lower bound to reach.
         progress: called after each game with (responses, price of failure, upper end).
 

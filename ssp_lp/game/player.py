@@ -1,14 +1,18 @@
 """The player of the game: best responses on layers of accumulated cost (paper, 3.1 to 3.5).
 
-M_o and M_{d,gamma} have the same states, actions and successors; they differ in the costs, and a
-step of M_{d,gamma} goes on with probability gamma only. In case S a state includes the accumulated
-cost (section 3.1.1). Case M (section 3.1.2) has a single layer, the live states with label s.
-States with label f are left out: nothing is paid there, and the failure cost from there on is ``sum
-(1 - gamma) gamma^t = 1``. Dead-ends are left out as well, since giving up at once is best there.
-Wandering for ever at no cost is equal to giving up free of charge, so that a pair for giving up is
-added in states where the model allows wandering.
+The objective MDP M_o and the failure MDP M_{d,gamma} have the same states, actions and successors.
+They differ in the costs, and a step of M_{d,gamma} goes on with probability gamma only. In case S a
+state includes the accumulated cost (section 3.1.1). Case M (section 3.1.2) has a single layer: the
+states with label s, at which the run has not failed. Two kinds of states are left out:
 
-The stopping rule of value iteration from below is a proved bound (sections 3.3 and 3.5).
+- States with label f (failed): nothing is paid there, and the failure cost from there on is ``sum
+  (1 - gamma) gamma^t = 1``.
+- Dead-ends, since giving up at once is best there.
+
+Wandering for ever at no cost has the value of giving up free of charge. States where the model
+allows wandering therefore have a pair for giving up.
+
+Value iteration from below stops by a proved bound (sections 3.3 and 3.5).
 """
 
 from __future__ import annotations
@@ -101,8 +105,8 @@ def check_alpha(alpha: object) -> None:
 class BestResponse:
     """A deterministic policy that minimises a weighted sum of the game's two costs.
 
-    If the goal is hardly ever reached, J_cond is 1 to rounding. Then ``origin`` is 1: J_cond - 1,
-    which is minus the success, is summed separately and keeps its digits.
+    If the goal is hardly ever reached, J_cond equals 1 up to rounding. ``origin`` is then 1:
+    J_cond - 1, which is minus the success, is summed separately to keep its digits.
     """
 
     objective: float  # J_obj(x'; pi), exact for the policy
@@ -133,11 +137,11 @@ class BestResponse:
         return self.objective / self.success
 
     def payoff(self, objective_weight: float, condition_weight: float) -> float:
-        """Return the payoff at given weights, J_cond counted from its origin."""
+        """Return the payoff at given weights of J_obj and of J_cond - origin."""
         return objective_weight * self.objective + condition_weight * self.failing
 
     def size(self, objective_weight: float, condition_weight: float) -> float:
-        """Return the sum of the payoff's terms in absolute value, to which rounding is relative."""
+        """Return the payoff's size, the sum of its absolute terms, for tolerances."""
         return objective_weight * self.objective + condition_weight * abs(self.failing)
 
 
@@ -162,12 +166,14 @@ def iterate_values(
 ) -> _Iterated:
     """Minimise ``weights @ costs`` by value iteration, with T_alpha of section 3.5.
 
-    The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The exact value of the greedy
-    policy, after policy iteration from it, is an upper bound of the optimum. The iterate is a lower
-    bound once a backup with its rounding has confirmed it. It is also raised to the policy's value,
-    less the amount that the backup requires, so that slow cycles do not delay convergence. The
-    iteration ends when the two bounds agree at the start, or when rounding keeps them from
-    agreeing.
+    The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. Each round has two bounds:
+
+    - Upper bound: the exact value of the greedy policy, improved by policy iteration.
+    - Lower bound: the iterate, or the policy's value if this is greater. Both are lowered until a
+      backup with its rounding confirms that they are lower bounds. With the policy's value, slow
+      cycles do not delay convergence.
+
+    The iteration ends when the two bounds agree at the watched nodes, or differ by rounding only.
 
     Args:
         dynamics: every transition scaled by gamma, so that T is a contraction.
@@ -200,7 +206,11 @@ def iterate_values(
 def improved_response(
     dynamics: Dynamics, costs: FloatArray, weights: FloatArray, choice: IntArray
 ) -> tuple[IntArray, FloatArray, int]:
-    """Improve a choice by policy iteration; return it, its exact costs, and the number of steps."""
+    """Improve a choice by policy iteration.
+
+    Returns:
+        The improved choice, [nodes]; its exact costs, [nodes, costs]; and the number of steps.
+    """
     pair_cost, steps = costs @ weights, 0
     offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     while True:
@@ -216,7 +226,7 @@ def improved_response(
 def label_process(
     model: SSP, start: FloatArray, semantics: FailureSemantics, discount: float, *, later: float
 ) -> tuple[AccumulatedCost, float]:
-    """Build the process of case M: one layer, in which pairs pay all of their expected cost.
+    """Build the process of case M: one layer, in which a pair pays its whole expected cost.
 
     Args:
         model: the model.
@@ -227,8 +237,8 @@ def label_process(
             gamma in M_{o,gamma}^(M) of section 3.5, 1 in M_o^(M).
 
     Returns:
-        The process, with E[G_o] as ``gain_cost`` and E[G_{d,gamma}] as ``failure`` of its pairs;
-        and J_obj of start mass on dead-ends.
+        The process, whose pairs have E[G_o] as ``gain_cost`` and E[G_{d,gamma}] as ``failure``; and
+        the J_obj of episodes that start in a dead-end.
     """
     wandering = end_components(model, costless_pairs(model))[0] >= 0
     exits = giving_up_states(model, semantics.give_up)
@@ -255,7 +265,7 @@ def label_process(
 
 
 class _Strategy(NamedTuple):
-    """A decision for each (time, layer, node); the last decisions also apply at all later times."""
+    """A choice of pairs for each (time, layer, node); the last time stands for all later times."""
 
     choice: IntArray  # [times, layers, nodes] position among the pairs of the node
     totals: Totals  # accumulated costs of the layers
@@ -268,11 +278,12 @@ class _Strategy(NamedTuple):
 class Player:
     """Best responses among policies of (state, accumulated cost), by the operator T_alpha.
 
-    A single layer is solved by value iteration. Several layers, up to M, are solved by one backward
-    sweep over the accumulated cost, and M grows until nothing is lost beyond it. With a ``tail``, M
-    is fixed to it, and pi'_or is followed once M is paid (section 3.5.1): J_obj is then discounted
-    only below M, J_cond everywhere, like V in the paper. Bounds hold for the policies of the class
-    Pi_{M,pi'_or}.
+    A single layer is solved by value iteration. Layers up to an accumulated cost M are solved by
+    one backward sweep, and M grows until nothing is lost beyond it.
+
+    If ``tail`` is given, M is equal to it, and pi'_or is followed once M is paid (section 3.5.1).
+    J_obj is then discounted only below M, and J_cond everywhere, like V in the paper. Bounds hold
+    for the policies of the class Pi_{M,pi'_or}.
     """
 
     base: AccumulatedCost
@@ -284,15 +295,17 @@ class Player:
     def outer_tails(self) -> tuple[IntArray, LayeredTails]:
         """The tails that fail least and most, MAXPROB and MINPROB (section 2.3).
 
-        Both are found by value iteration on the discounted process without accumulated cost. Beyond
-        M the paper follows pi'_or, which fails most. If failing is expensive, this needs a very
-        large M; here the policy that fails least is followed until so much has been paid that
-        failing most is no worse. The paper leaves pi'_or and J_obj undiscounted beyond M
-        (``undiscounted_tail``); here both are discounted as below M, so that c-hat does not depend
-        on M once M is large.
+        Both are found by value iteration on the discounted process without accumulated cost. There
+        are two differences to the paper:
+
+        - Beyond M the paper follows pi'_or, which fails most. If failing is expensive, this needs a
+          very large M. Here the policy that fails least is followed beyond M until so much has been
+          paid that failing most is no worse.
+        - The paper leaves pi'_or and J_obj undiscounted beyond M (``undiscounted_tail``). Here both
+          are discounted as below M, so that c-hat does not depend on M once M is large.
 
         Returns:
-            The pairs of both tails, [2, nodes], and their values, with bounds of every policy.
+            The pairs of both tails, [2, nodes], and their values with bounds of every policy.
         """
         base, gamma = self.base, self.base.survival
         dynamics, _ = base.quotient.dynamics(gamma, departing=False)
@@ -319,16 +332,19 @@ class Player:
 
     @cached_property
     def origin(self) -> float:
-        """Origin of J_cond in case S, by which no digits are lost (see ``BestResponse``)."""
+        """Origin from which J_cond is counted: 1 if success is rare, else 0 (``BestResponse``).
+
+        It is that of case S; case M counts from 0.
+        """
         reachable = float(self.base.start @ self.tails.greatest_goal) + self.base.start_goal
         return float(reachable <= _RARE)
 
     @cached_property
     def undiscounted_tail(self) -> LayeredTails:
-        """The tail pi'_or of section 3.5.1, of Pi_{d,or}: undiscounted MINPROB (section 2.3).
+        """The tail pi'_or in Pi_{d,or} of section 3.5.1: undiscounted MINPROB (section 2.3).
 
-        It gives up at attention states; among pairs that reach the goal with equal probability it
-        takes the one that was stated first. J_obj is undiscounted, J_cond discounted.
+        It gives up at attention states. Among pairs that reach the goal with equal probability it
+        takes the one that was stated first. Its J_obj is undiscounted, its J_cond discounted.
         """
         base, quotient = self.base, self.base.quotient
         giving_up = np.full(base.n_nodes, -1, dtype=np.int32)
@@ -342,7 +358,12 @@ class Player:
         return replace(self.tails, decisions=quotient.pull_back(pairs[0])[None], values=values)
 
     def followed_tails(self, choices: IntArray, survival: float) -> tuple[FloatArray, FloatArray]:
-        """Evaluate choices: goal and cost E[survival^(T-1) * ...; goal], [policies, nodes] each."""
+        """Evaluate stationary policies, given as pairs, [policies, nodes].
+
+        Returns:
+            E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal], with the number T of steps
+            to the goal, [policies, nodes] each.
+        """
         quotient, (early, cost) = self.base.quotient, np.zeros((2, *choices.shape))
         dynamics, _ = quotient.dynamics(survival, departing=False)
         for k, choice in enumerate(choices):
@@ -360,7 +381,7 @@ class Player:
         return float(steps[-1]) if self.base.by_steps else float(self.base.width)
 
     def totals(self, cap: float) -> Totals:
-        """Return the totals below M, and the totals from which the tails are followed.
+        """Return the totals below M = ``cap``, and those at which the tails take over.
 
         Raises:
             ModelError: the totals are too many.
@@ -383,10 +404,11 @@ class Player:
     ) -> BestResponse:
         """Find a policy of least ``objective_weight J_obj + condition_weight J_cond``.
 
-        All responses of a player count J_cond from the same origin. The first M is the total from
-        which failing at attention states is optimal, ``w_o r = w_d``, if that is not too large. M
-        then grows until the bound of every policy is within the accuracy, or only rounding is left.
-        The loss due to the cap decreases geometrically, so the next M is extrapolated from two.
+        All responses of a player count J_cond from one origin. If it is not too large, the first M
+        is the total r from which failing at attention states is optimal, ``w_o r = w_d``. M then
+        grows until the lower bound of all policies is within the accuracy of the response, or
+        differs by rounding only. The loss due to the cap falls geometrically as M grows, so that
+        the next M is extrapolated from the last two.
 
         Args:
             objective_weight: alpha(M_o) of section 3.2 of the paper, not negative.
@@ -418,9 +440,9 @@ class Player:
             cap = _larger_cap(lost, wanted) + self.dearest
 
     def _first_cap(self, weights: FloatArray) -> float:
-        """Return the first M: the total after which it is best to fail, if that is not too large.
+        """Return the first M, in units: the total from which failing is optimal.
 
-        Otherwise the first M is a few steps of the greatest cost, and M grows soon.
+        If this total is too large, the first M is a few times the greatest cost of a step.
         """
         base, cap = self.base, _FIRST_LAYERS * self.dearest
         if weights[0] == 0.0:
@@ -429,14 +451,20 @@ class Player:
         return lossless + self.dearest if lossless <= 8 * cap else cap
 
     def values_of(self, weights: FloatArray, watched: FloatArray, accuracy: float) -> _Iterated:
-        """Run value iteration on one layer, at weights of J_obj and J_cond."""
+        """Run value iteration on one layer, at weights of J_obj and J_cond, [2].
+
+        Args:
+            weights: weights of J_obj and J_cond, [2].
+            watched: weight of each node in the comparison of bounds, [nodes].
+            accuracy: relative distance of the bounds to reach.
+        """
         base = self.base
         costs = np.stack([base.gain_cost, base.failure], axis=1)
         dynamics, gamma = base.instant_dynamics, base.survival
         return iterate_values(dynamics, costs, gamma, weights, watched, accuracy=accuracy)
 
     def _iterated(self, weights: FloatArray, accuracy: float) -> BestResponse:
-        """Find the best response on one layer: a policy of the state alone."""
+        """Find the best response on one layer, a policy that depends on the state only."""
         base = self.base
         iterated = self.values_of(weights, base.start, accuracy)
         fixed = np.array([self.start_cost, base.start_failure])
@@ -447,7 +475,7 @@ class Player:
         return BestResponse(objective, condition, bound, strategy, iterated.sweeps)
 
     def _swept(self, weights: FloatArray, cap: float) -> BestResponse:
-        """Find the best response with tails from M = cap on, by one backward sweep, and a bound."""
+        """Find a best response and a bound by backward sweeps up to M = ``cap``, then tails."""
         base, is_fixed = self.base, self.tail is not None
         tails = self.undiscounted_tail if is_fixed else self.tails
         process = LayeredProcess(base, self.totals(cap), tails)
@@ -466,12 +494,14 @@ class Player:
     def lower_bounds(
         self, sweep: Sweep, price: float, failing: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Bound J_obj + price * J_cond from below, for all policies or for those with the tail.
+        """Return lower bounds of J_obj + price * J_cond for all policies.
+
+        With a fixed tail the bounds hold for all policies that follow it beyond M.
 
         Args:
-            sweep: sweep over the process cut at M.
+            sweep: sweep over the layers up to M.
             price: price of J_cond.
-            failing: the price, or 0 if J_cond is counted from 1.
+            failing: the price; 0 to count J_cond from 1.
 
         Returns:
             Bounds for a run that starts in each layer, [layers], and for each state, [layers,
@@ -488,11 +518,10 @@ class Player:
         return sweep.bound(priced, anything)
 
     def surplus(self, price: float, accuracy: float) -> float:
-        """Bound ``J_obj - price * (1 - J_cond)`` from below for all policies, with rounding.
+        """Return a lower bound of ``J_obj - price * (1 - J_cond)`` for all policies, rounded down.
 
-        A policy that fails surely has 0 here, so that a small difference from it is not lost in the
-        rounding of ``price``. A bound >= 0 proves ``J_obj / (1 - J_cond) >= price`` for all
-        policies.
+        A bound >= 0 proves ``J_obj / (1 - J_cond) >= price`` for all policies. A policy that fails
+        surely has the value 0, so that a small difference from it is not lost in rounding.
         """
         process = self.response(1.0, price, accuracy).strategy.process
         return float(self.lower_bounds(Sweep.of_ends(process), price, 0.0)[0][0])
@@ -505,9 +534,10 @@ class Player:
             responses: the player's responses so far.
 
         Returns:
-            In case M [nodes], followed by the start's value if start mass lies on goals or
-            dead-ends. In case S infinite values, [layers, nodes], for which ``certify`` computes
-            the best values on as many layers as a response had; [1] if costs have no common unit.
+            In case M the bounds, [nodes], followed by the start's value if episodes may start in
+            goals or dead-ends. In case S infinite values, which make ``certify`` compute the best
+            values: [layers, nodes], with as many layers as the responses had; [1] if the costs have
+            no common unit.
         """
         base = self.base
         if self.counts_total and base.by_steps:
@@ -541,7 +571,12 @@ class Player:
 
 
 def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
-    """Extrapolate a larger M, 1.25 to 4 times the last one, with an error of at most ``wanted``."""
+    """Extrapolate the M at which the loss is ``wanted``, but 1.25 to 4 times the last M.
+
+    Args:
+        lost: loss at each M so far.
+        wanted: loss to reach.
+    """
     cap = max(lost)
     needed = 2.0 * cap
     smaller = max((c for c in lost if c < cap), default=cap)
@@ -555,9 +590,9 @@ def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
 class BayesPlayer(Player):
     """Best responses among all policies, by backward induction over time (paper, section 3.3).
 
-    J_obj is undiscounted here and J_cond discounted, so that the best action depends on the belief,
-    that is on time. Weighted by the probability that a run goes on, the operator T of section 3.3
-    along the trajectory of the belief is a backward induction:
+    J_obj is undiscounted here and J_cond is discounted. The best action therefore depends on the
+    adversary's belief, which is a function of time. If values are weighted by the probability that
+    a run goes on, the operator T of section 3.3 becomes a backward induction over time:
 
         W_t(x) = min_u w_o G_o(x, u) + gamma^t w_d G_d(x, u) + sum_y p(y | x, u) W_{t+1}(y),
 
@@ -571,11 +606,12 @@ class BayesPlayer(Player):
 
     @cached_property
     def last_tail(self) -> tuple[IntArray, LayeredTails]:
-        """The policy that is followed beyond cap and horizon: its pairs, [nodes], and its values.
+        """Pairs, [nodes], and values of the policy that is followed beyond cap and horizon.
 
-        In case S it is the policy that fails most under the discount, because undiscounted MINPROB
-        (``undiscounted_tail``) would need much greater M and horizon. In case M it is the policy of
-        least J_obj. J_obj is undiscounted, while J_cond remains discounted (section 3.3).
+        In case M it is the policy of least J_obj. In case S it is the policy of greatest discounted
+        failure probability: the policy of greatest undiscounted failure probability (MINPROB,
+        ``undiscounted_tail``) would need a much greater cap and horizon. In both cases J_obj is
+        undiscounted and J_cond discounted (section 3.3).
         """
         if not self.counts_total:
             return self._cheapest()
@@ -587,7 +623,7 @@ class BayesPlayer(Player):
     def _cheapest(self) -> tuple[IntArray, LayeredTails]:
         """Find the policy of least undiscounted J_obj in case M, by policy iteration.
 
-        Only strict improvements are made, so that every intermediate policy leaves with certainty.
+        Only strict improvements are made, so that every policy on the way ends with certainty.
         """
         base, quotient, cost = self.base, self.base.quotient, self.base.gain_cost
         dynamics = quotient.dynamics(1.0, departing=False)[0]
@@ -607,11 +643,15 @@ class BayesPlayer(Player):
         return choice, tails
 
     def _surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
-        """Bound the weighted cost minus the cost of sure failure from below, [totals, nodes].
+        """Return lower bounds of the weighted cost minus that of sure failure, [totals, nodes].
 
-        A policy with discounted success E[gamma^T; goal] reaches the goal with at least that
-        probability, and then pays at least the accumulated cost, undiscounted. This bound is linear
-        in the success, which lies between two known bounds.
+        A policy reaches the goal with at least its discounted success E[gamma^T; goal], and then
+        pays at least the accumulated cost, undiscounted. The bound is linear in the discounted
+        success, which lies between two known bounds.
+
+        Args:
+            paid: accumulated costs, [totals].
+            weights: weights of J_obj and J_cond, [2].
         """
         per_success = weights[0] * paid[:, None] - weights[1]
         tails = self.last_tail[1]
@@ -623,9 +663,9 @@ class BayesPlayer(Player):
     ) -> BestResponse:
         """Find the best policy of (time, state), in case S of (time, state, accumulated cost).
 
-        The first cap is the stationary player's. The horizon is doubled until the bound equals the
-        policy's payoff within the accuracy; if that no longer helps, the cap is doubled as well. In
-        case M the horizon of ``horizon_of`` always suffices, whatever the model.
+        The first cap is that of the stationary player. The horizon is doubled until the lower bound
+        equals the policy's payoff within the accuracy. If doubling hardly reduces the gap, the cap
+        is doubled as well. In case M the horizon of ``horizon_of`` suffices for every model.
 
         Raises:
             ModelError: the table of decisions would be too large.
@@ -649,9 +689,9 @@ class BayesPlayer(Player):
             cap *= 2.0 if self.counts_total and gap > _SLOW * before else 1.0
 
     def surplus(self, price: float, accuracy: float) -> float:
-        """Bound ``J_obj - price * (1 - J_cond)`` from below for all policies, with rounding.
+        """Return a lower bound of ``J_obj - price * (1 - J_cond)`` for all policies, rounded down.
 
-        A policy that fails surely has exactly 0 here.
+        A policy that fails surely has exactly the value 0.
         """
         base, gamma = self.base, self.base.survival
         strategy: _Strategy = self.response(1.0, price, accuracy).strategy
@@ -670,18 +710,18 @@ class BayesPlayer(Player):
 
     @property
     def _lost(self) -> float:
-        """Relative rounding of one backup."""
+        """Bound of the rounding of one backup, relative to its size."""
         longest = int(np.diff(self.base.steps.indptr).max(initial=0)) + self.base.width
         return (longest + 4) * MACHINE_EPSILON
 
     def _stage(self, totals: Totals) -> FloatArray:
-        """Return E[G_o] of each pair in each layer, [pairs, layers]."""
+        """Return the stage cost E[G_o] of each pair in each layer, [pairs, layers]."""
         paid = totals.values[:-1]
         return np.asarray(self.base.gain[:, None] * paid + self.base.gain_cost[:, None])
 
     @cached_property
     def _blocks(self) -> list[sp.csr_array]:
-        """Undiscounted probabilities of steps 0, 1, ... layers ahead, [pairs, nodes] each."""
+        """Undiscounted transitions of each class of steps, [pairs, nodes] each."""
         base, n = self.base, self.base.n_nodes
         steps = sp.csc_array(base.steps / base.survival)
         return [sp.csr_array(steps[:, k * n : (k + 1) * n]) for k in range(base.width)]
@@ -698,7 +738,7 @@ class BayesPlayer(Player):
         return np.asarray(sum(parts, np.zeros((len(self.base.gain), totals.size))))
 
     def _response(self, weights: FloatArray, cap: float, horizon: int) -> BestResponse:
-        """Run backward induction from a horizon; one tail is followed beyond it and the cap.
+        """Run backward induction from a horizon; the last tail is followed beyond it and the cap.
 
         Args:
             weights: weights of J_obj and J_cond, [2].
@@ -747,13 +787,13 @@ class BayesPlayer(Player):
         )
 
     def _beyond(self, totals: Totals, weights: FloatArray) -> FloatArray:
-        """Bound the weighted cost of every policy beyond the horizon from below, [nodes, totals].
+        """Return lower bounds of all policies' weighted cost after the horizon, [nodes, totals].
 
-        The stationary game gives such a bound, since discounting the objective can only lower it.
+        They come from the stationary game, since a discount can only make J_obj smaller.
 
         Args:
             totals: the totals.
-            weights: weights of J_obj and J_cond, the latter discounted to the horizon.
+            weights: weights of J_obj and, discounted to the horizon, of J_cond, [2].
         """
         stationary, n = self.stationary, max(self.base.n_nodes, 1)
         bound, cap = weights[1] + self._surplus(totals.with_beyond, weights), totals.size
@@ -781,7 +821,8 @@ class BayesPlayer(Player):
 def horizon_of(discount: float, condition_weight: float, error: float) -> int:
     """Return the number of steps N after which ``condition_weight * gamma^N`` is at most error.
 
-    From then on, J of section 3.3 and the J of a player who ignores failing differ by at most that.
+    After N steps, J of section 3.3 differs by at most ``error`` from the J of a player who ignores
+    failing.
     """
     if condition_weight <= error:
         return 1

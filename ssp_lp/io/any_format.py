@@ -1,4 +1,4 @@
-"""Reading and writing models in any known format, chosen by the ending of the file's name."""
+"""Reading and writing models in any supported format; the ending of a file's name chooses it."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _READERS: dict[str, Callable[..., ModelFile]] = {
     ".umb": read_umb,
     **dict.fromkeys(_STORM, read_with_storm),
 }
-"""Readers of formats whose goals are the states of one label, by the ending of the file's name."""
+"""Ending of a file's name -> reader of a format whose goals are the states of one label."""
 
 _WRITERS: dict[str, Callable[..., None]] = {**dict.fromkeys(_DRN, write_drn), ".umb": write_umb}
-"""Writers of formats with one initial state, by the ending of the file's name."""
+"""Ending of a file's name -> writer of a format with one initial state."""
 
 
 @explained
@@ -42,16 +42,16 @@ def read_any(
     constants: Constants | None = None,
     dead_ends: DeadEnds | None = None,
 ) -> StatedModel:
-    """Read a model from a file, whose format is the ending of its name.
+    """Read a model from a file; the ending of its name gives the format.
 
     Programs (.prism, .nm, .pm, .jani) are read through Storm (the extra ``storm``).
 
     Args:
         path: the file.
-        goal: name or names of the goal states, or a label of them if the format has labels, or a
-            condition on the variables of a program.
-        cost: name of the cost that counts, if the format has several; None: the only one; "*": the
-            first. The others are the model's ``named_costs``.
+        goal: the goal states: one or several names of states, the label of a set of states if the
+            format has labels, or a condition on the variables of a program.
+        cost: name of the cost that problems minimise, if the file has several; None: the only one;
+            "*": the first. The others are in the model's ``named_costs``.
         constants: constants of a program, "N=5,p=0.1" or by name.
         dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
             Any other state without actions that is not a goal is then an error.
@@ -87,7 +87,7 @@ def read_any(
 def _csv_model(
     file: Path, goals: Sequence[str], cost: str | None, dead_ends: DeadEnds | None
 ) -> SSP:
-    """Return the model of a CSV file: columns that describe outcomes, and columns of costs."""
+    """Read a model from a CSV file; columns that do not describe outcomes are costs."""
     if not goals:
         message = f"{file.name} does not list the goal states: name them by "
         raise ModelError(message, Argument("goal"))
@@ -104,13 +104,13 @@ def _csv_model(
 
 @explained
 def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
-    """Write a model to a file, whose format is the ending of its name.
+    """Write a model to a file; the ending of its name gives the format.
 
     Args:
         model: the model.
         path: the file.
-        start: where episodes begin. An .npz file does not contain it, .json may, and the others
-            need exactly one state.
+        start: where episodes begin. It is not written to an .npz file, optional for .json, and
+            must be one state for all other formats.
 
     Raises:
         ModelError: an unknown ending, no start, or names that cannot be written.
@@ -131,7 +131,7 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
 
 
 def _ending_of(file: Path, endings: Sequence[str]) -> str:
-    """Return the one of these endings that a file's name has; else raise :class:`ModelError`."""
+    """Return the ending of a file's name; raise :class:`ModelError` if it is not in the list."""
     for ending in endings:
         if file.name.endswith(ending):
             return ending

@@ -69,7 +69,7 @@ def write_archive(
         path: name of the file; no ending is added to it.
         kind: kind of the file, such as "policy".
         header: values that JSON supports.
-        arrays: by name.
+        arrays: arrays by name.
     """
     whole = {"format": f"ssp-lp {kind}", "version": _VERSION, **header}
     packed = np.frombuffer(json.dumps(whole, default=np.generic.item).encode(), dtype=np.uint8)
@@ -110,8 +110,8 @@ def _header_of(archive: Any, kind: str) -> Any:
     """Return the header of an archive that numpy has opened.
 
     Raises:
-        ModelError: it is too large, of another kind of file, or of a later version than this
-            library reads.
+        ModelError: the header is too large, belongs to another kind of file, or has a later version
+            than this library reads.
     """
     header: Any = None
     if _HEADER in archive.files:
@@ -136,8 +136,8 @@ def opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, A
     """Open an archive and yield its header and its arrays; nothing in it is executed.
 
     Raises:
-        ModelError: naming the file: no such archive, of a later version than this library reads,
-            or with wrong content.
+        ModelError: the file, which the error names, is no such archive, has a later version than
+            this library reads, or has wrong content.
         OSError: the file cannot be opened.
     """
     with ExitStack() as opened:
@@ -185,7 +185,7 @@ def save_model(model: SSP, path: FilePath) -> None:
     check_model(model, "save_model")
 
     def stated(names: Sequence[Hashable]) -> list[Any] | None:
-        """Return names as JSON values, or None if they are their positions."""
+        """Return names as JSON values; None if the names are the numbers 0, 1, ... ."""
         if isinstance(names, range):
             return None
         return [name if isinstance(name, float) else label_value(name) for name in names]
@@ -216,13 +216,13 @@ def save_model(model: SSP, path: FilePath) -> None:
 
 
 class StoredModel:
-    """A file of :func:`save_model` from which the rows of some states can be read alone."""
+    """A file of :func:`save_model` from which blocks of states are read without the rest."""
 
     def __init__(self, path: FilePath) -> None:
         """Read the goals, the sets of states and the number of states.
 
         Raises:
-            ModelError: naming the file: not of this format, or damaged.
+            ModelError: the file, which the error names, has another format or is damaged.
             OSError: the file cannot be opened.
         """
         self._path = path
@@ -237,7 +237,7 @@ class StoredModel:
         self.n_states = self._read("pair_offsets", 0, 0)[1] - 1
 
     def rows(self, first: int, end: int) -> StateRows:
-        """Return the rows of some states, skipping those before them in the file."""
+        """Return the pairs and outcomes of the states ``first`` .. ``end`` - 1."""
         pairs = self._read("pair_offsets", first, end + 1)[0]
         outcomes = self._read("outcome_offsets", int(pairs[0]), int(pairs[-1]) + 1)[0]
         own = int(outcomes[0]), int(outcomes[-1])
@@ -255,7 +255,7 @@ class StoredModel:
         """Return the entries ``begin`` to ``end`` of an array in the file, and the array's length.
 
         Raises:
-            ModelError: naming the file: it is damaged.
+            ModelError: the file, which the error names, is damaged.
         """
         try:
             with ZipFile(self._path) as archive, archive.open(f"{name}.npy") as file:
@@ -282,8 +282,8 @@ def load_model(path: FilePath) -> SSP:
         The same model.
 
     Raises:
-        ModelError: naming the file: not of this format, of a newer version, or without a valid
-            model.
+        ModelError: the file, which the error names, has another format or a newer version, or does
+            not contain a valid model.
         OSError: the file cannot be opened.
     """
     with opened_archive(path, "model") as (header, arrays):
@@ -296,7 +296,7 @@ def load_model(path: FilePath) -> SSP:
             for name in ("states", "actions")
         )
         if states is not None and len(states) != n_states:
-            raise ModelError("the names of states must be one for each")
+            raise ModelError("there must be one name for each state")
         if actions is not None:
             actions = _named_in_archive(actions, arrays["pair_action"], "actions")
         labels_of_states = range(n_states) if states is None else states
@@ -324,7 +324,7 @@ def load_model(path: FilePath) -> SSP:
 
 
 def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:
-    """Return the names at some positions; ``what`` they name is for the error."""
+    """Return the names at given positions; ``what`` says what has these names, for the error."""
     if ((numbers < 0) | (numbers >= len(names))).any():
         raise ModelError(f"there are {what} without a name")
     return [names[k] for k in numbers.tolist()]
@@ -352,7 +352,7 @@ def save_policy(policy: AnyPolicy, path: FilePath) -> None:
 def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
     """Read a policy from its archive, on the model that it was made for or an equal one.
 
-    It plays the same episodes as the saved policy, given the same generator.
+    With equal seeds, the saved policy and the policy that is returned play equal episodes.
 
     Args:
         path: a file of :func:`save_policy`.
@@ -362,7 +362,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
             state has as many actions as before.
 
     Raises:
-        ModelError: the file has no policy, or the model is another one.
+        ModelError: the file has no policy, or its policy is for another model.
     """
     check_model(model, "load_policy")
     with opened_archive(path, "policy") as (header, arrays):
@@ -387,7 +387,7 @@ def _policy_in(
     """Return the policy of an archive on a model, as :func:`load_policy` does.
 
     Raises:
-        ModelError: the model is another one.
+        ModelError: the policy is for another model.
     """
     records = header["policies"]
     kept, remedy = f"the file was made for {header['sizes']}", ""
@@ -407,7 +407,7 @@ def _policy_in(
     parts: list[AnyPolicy] = []
 
     def meant(value: Any) -> Any:
-        """Return the value of a field: an array, parts made before, or the value itself."""
+        """Return a field's value: a named array, policies with listed numbers, or a number."""
         if isinstance(value, str):
             return arrays[value]
         if isinstance(value, list):
@@ -437,7 +437,7 @@ _CLASSES: dict[str, type[Any]] = {
 
 
 class _PolicyRecords:
-    """Records of a policy and of the policies that it consists of, each after its parts."""
+    """Records of a policy and of the policies that it contains, which come before it."""
 
     def __init__(self) -> None:
         """Begin an archive without records."""
@@ -487,7 +487,7 @@ class _PolicyRecords:
         return name
 
     def _add(self, policy: AnyPolicy) -> int:
-        """Add a policy after its parts unless it is there, and return the number of its record.
+        """Return the number of a policy's record; add a new policy after those it contains.
 
         Raises:
             ModelError: the policy or a part of it is of an unsupported class.
@@ -498,7 +498,7 @@ class _PolicyRecords:
         if name is None:
             own = ": save its .policy instead" if isinstance(policy, Solution) else ""
             kind = type(policy).__name__
-            raise ModelError(f"a {kind} cannot be saved, its class is unknown{own}")
+            raise ModelError(f"a {kind} cannot be saved: it is none of the library's policies{own}")
         record: dict[str, Any] = {"kind": name}
         for part, value in fields_of(policy, policy).items():
             if isinstance(value, SSP):
@@ -509,7 +509,7 @@ class _PolicyRecords:
         return self._numbers.setdefault(id(policy), len(self._records) - 1)
 
     def _stated(self, value: Any) -> Any:
-        """Return the value of a field in JSON: arrays by name, policies by number."""
+        """Return a field's value for JSON: an array's name, numbers of policies, or a number."""
         if isinstance(value, np.ndarray):
             return self.add_array(value)
         if isinstance(value, (Policy, MixedPolicy)):
@@ -525,9 +525,9 @@ _ROUNDING = 1e-9
 
 @explained
 def save_solution(solution: Solution, path: FilePath) -> None:
-    """Write a solution to an archive: its policy, numbers, prices, value function and run.
+    """Write a solution to an archive: policy, numbers, prices, value function, facts of the run.
 
-    The model and the problem are not in it: pass the problem to :func:`load_solution`.
+    The archive does not contain the problem and its model: :func:`load_solution` needs the problem.
 
     Args:
         solution: solution of ``solve``, or made by hand.
@@ -586,7 +586,7 @@ def load_solution(path: FilePath, problem: Problem) -> Solution:
 
 
 def _solution_words(problem: Problem) -> dict[str, Any]:
-    """Return the arguments of a problem that an archive stores, to recognise the problem."""
+    """Return the arguments of a problem that an archive stores to check a problem against them."""
     semantics, measure = problem.semantics, problem.semantics.measure
     return {
         "criterion": type(problem).__name__,
@@ -610,17 +610,15 @@ def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[
         if isinstance(saved, float) and isinstance(stated, float):
             same = isclose(saved, stated, rel_tol=_ROUNDING, abs_tol=_ROUNDING)
         if not same:
-            raise ModelError(
-                f"the file is of a problem with {name} = {saved!r}, this one has {stated!r}"
-            )
+            raise ModelError(f"the file answers a problem with {name} = {saved!r}, not {stated!r}")
     if not np.array_equal(start_distribution(problem.model, problem.start), start):
-        raise ModelError("the file is of a problem with another start")
+        raise ModelError("the file answers a problem with another start: pass that problem")
 
 
 _FINGERPRINT_VERSION = "ssp-lp model 1"
 
 _PIECE = 1 << 20
-"""Entries of an array converted at a time, so that large models need little memory."""
+"""Entries of an array that are hashed at a time, so that large models need little memory."""
 
 
 @explained
@@ -628,10 +626,11 @@ _PIECE = 1 << 20
 def fingerprint(model: SSP) -> str:
     """Return the SHA-256 of a model's content, in hexadecimal, cached with the model.
 
-    It depends on the pairs and outcomes in their order, successors, probabilities, costs and the
-    fractions that they were given as, goals, the labels of states, actions and sets of states; for
-    a product also on its original model. It does not depend on the types of arrays, the machine's
-    byte order, the sign of zero, or whether numbers of states are given as labels or by default.
+    It depends on the order of pairs and outcomes; on successors, probabilities, and costs with the
+    fractions that they stand for; on goals; on the labels of states, actions and sets of states;
+    and for a product on the original model. It does not depend on the types of arrays, the
+    machine's byte order, the sign of zero, or whether state labels 0, 1, ... were given or are the
+    default.
 
     Each part is hashed as ``name length``, a line feed and its content: arrays as 8-byte
     little-endian whole numbers or IEEE doubles, the rest as JSON with sorted keys.
@@ -680,14 +679,14 @@ def fingerprint(model: SSP) -> str:
 
 @kept
 def pair_print(model: SSP) -> str:
-    """Return the SHA-256 of the numbers of pairs by state, on which a policy depends."""
+    """Return the SHA-256 of the number of actions of each state, which a policy must fit."""
     digest = sha256(b"ssp-lp pairs 1")
     _hash_array(digest.update, "pair_offsets", model.pair_offsets)
     return digest.hexdigest()
 
 
 def _hash_array(update: Callable[[bytes], None], name: str, array: Array) -> None:
-    """Add an array to a fingerprint, which ``update`` extends by bytes."""
+    """Add an array with its name to a hash, whose method ``update`` takes bytes."""
     kind = "<f8" if array.dtype.kind == "f" else "<i8"
     update(f"\n{name} {len(array)}\n".encode())
     for first in range(0, len(array), _PIECE):

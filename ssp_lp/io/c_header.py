@@ -1,9 +1,9 @@
 """A policy as one C99 header: tables, and a function that looks up actions, without allocation.
 
 ``policy.h`` beside this file is the template of the header. States and actions are numbers, in the
-order of the model. A small struct has the memory of an episode, apart from the total paid: the
-member of a lottery that plays it, the tail followed beyond the cap, whether it has given up, and
-the level to which a total was rounded.
+order of the model. The caller keeps the total cost paid in an episode. A small struct holds the
+rest of its memory: the member of the lottery that plays, the tail policy followed beyond the cap,
+whether the policy has given up, and the level to which the total was rounded.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import as_lottery
 
 _NEVER = 1e308
-"""Finite number in place of an infinite total, which no episode reaches."""
+"""Number that stands for an infinite total in C: no episode reaches it."""
 
 _DRAWN = -3
-"""First of the codes for random decisions, which go downwards."""
+"""Greatest code of a random decision; codes are -3, -4, ... ."""
 
 _OTHERS = {"threshold": "double", "levels": "double", "share": "double", "offsets": "int",
            "ends": "unsigned char"}  # fmt: skip
-"""Types of the tables without codes."""
+"""C types of the tables that do not contain codes of decisions."""
 
 _KINDS = {"signed char": 127, "short": 32_767, "int": 2**31 - 1}
 
@@ -59,7 +59,7 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
     lottery = as_lottery(policy)
     model, members = lottery.model, lottery.policies
     if not (name.isascii() and name.isidentifier()):
-        raise ModelError(f"name must be a name in C, not {name!r}")
+        raise ModelError(f"name must be an identifier in C, not {name!r}")
     fields, units = list[dict[str, Any]](), set[float | None]()
     for member in members:
         stated = controller_member(member)
@@ -67,7 +67,7 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
             units |= {None if memory["levels"] else memory["unit"]}
         fields.append(_member_fields(stated, member))
     if len(units) > 1:
-        raise ModelError("the members of the lottery count costs in different units")
+        raise ModelError("the policies of the lottery use different cost units: write each alone")
     tables, rows, largest = list[str](), list[str](), 0
     upto = np.minimum(np.cumsum(lottery.weights), 1.0)
     for k, (member_fields, share) in enumerate(zip(fields, upto.tolist(), strict=True)):
@@ -103,20 +103,23 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
 
 
 def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
-    """Return the fields of a member's struct by name, without ``upto``; a list is a table.
+    """Return the fields of the C struct of a lottery's member, except its share ``upto``.
 
     Args:
-        stated: the member as in a controller's file.
+        stated: the member as a controller's file describes it.
         policy: the member.
 
+    Returns:
+        Field -> number, or list of the numbers of a table.
+
     Raises:
-        ModelError: the struct has no place for its memory.
+        ModelError: the struct does not support the member's memory.
     """
     memory, decision = stated["memory"], stated["decision"]
     cap = 0 if memory is None else memory.get("cap", -1)
     tails, drawn = decision[cap:], any(type(one) is list for row in decision for one in row)
     if cap < 0 or (drawn and memory):
-        raise ModelError(f"a C header cannot contain a {type(policy).__name__}")
+        raise ModelError(f"no C header of a {type(policy).__name__}: use write_controller")
     fields: dict[str, Any] = dict.fromkeys(
         ("layers", "tails", "decision", "tail", "threshold", "levels", "offsets", "action", "share",
          "ends", "otherwise", "afterwards"), 0)  # fmt: skip
@@ -142,7 +145,7 @@ def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
 
 
 def _c_string(text: str) -> str:
-    """Return a text as a C literal; octal escapes stand for all but a few bytes of its UTF-8."""
+    """Return a text as a C string literal in UTF-8, with octal escapes for unusual bytes."""
     plain = (chr(b) if chr(b).isalnum() or chr(b) in " _-+,.:()" else "" for b in range(128))
     known = dict(enumerate(plain))
     return '"' + "".join(known.get(b) or f"\\{b:03o}" for b in text.encode()) + '"'

@@ -8,34 +8,36 @@ This file may be copied onto a robot by itself; it needs no other part of ssp-lp
 - ``goals``, ``dead_ends``: the numbers of these states;
 - ``states``: the labels of the states, or their number if they are 0, 1, ...; tuples as lists;
 - ``actions``: the labels of the actions;
-- ``members``: the policies of a lottery that is drawn once in each episode, each with
+- ``members``: the policies of a lottery, of which one is drawn for each episode, each with
 
   - ``weight``: its probability;
-  - ``ends``: the numbers of the states in which it is over;
+  - ``ends``: the numbers of the states in which an episode of this policy is over;
   - ``memory``: null, or an object whose ``kind`` is
 
-    - "layers": the cost paid in whole numbers of ``unit``, rounded up if ``rounds_up``. From
-      ``cap`` on it is one of ``tails`` tails: the last one if the layer has reached the state's
-      ``threshold`` (null: never), else the first. ``levels``, unless null, are totals, the last of
-      which is the cap: the new layer is then the level nearest to the old level plus the cost of
-      the step, and thresholds are totals. ``acting``: for each state 1 if the memory is updated,
-      else 0;
-    - "steps": the number of steps taken. The last step, number ``steps``, leads to ``steps`` + 1 if
-      its successor is ``acting`` (1 or 0 for each state);
-    - "task": a number, at first ``start``; ``moves``: [number, state, action, successor, cost, next
-      number] of each step that changes it; the cost is null if it does not matter;
+    - "layers": the cost paid, as a number of layers of size ``unit``; costs are rounded up to
+      whole layers if ``rounds_up``. Once the number reaches ``cap``, the memory is ``cap`` plus the
+      number of one of ``tails`` tail policies: the last one if the layer has reached the state's
+      ``threshold`` (null: never), else the first. If ``levels`` is not null, it lists totals, the
+      last of which is at the cap: the new layer is the level nearest to the old level plus the
+      cost of the step, and thresholds are totals. ``acting``: for each state 1 if the memory is
+      updated on entering it, else 0;
+    - "steps": the number of steps taken. After the step number ``steps`` it is ``steps`` + 1 if
+      the successor is ``acting`` (1 or 0 for each state), which means out of time;
+    - "task": a number, initially ``start``. ``moves`` lists the steps that change it: [number,
+      state, action, successor, cost, next number], where the cost is null if any cost will do;
+    - "failing": 1 if the run has failed, else 0. It fails by an action in a state of ``lost``, and
+      by an action taken with giving up: with n actions, the position n + k in ``decision`` stands
+      for action k with giving up. The step that fails adds the state's ``charge`` to the cost in
+      the inner memory, and later steps add nothing;
 
-    - "failing": whether the run has failed, 1 or 0. It fails by an action taken with giving up: a
-      position in ``decision`` beyond the last action stands for the same actions in turn, with
-      giving up. It also fails by any action in the states in ``lost``. For the inner memory the
-      step that fails costs the state's ``charge``, and each later step costs nothing;
-
-    the last three have ``place``: [number][state], the situation of both, -1 for none, and
-    ``inner``: null or the inner memory, whose states are the situations;
-  - ``decision``: [memory][state], of the innermost memory and its states: the position of an
-    action, -1 to give up, -2 for none, or a list of [position, probability];
-  - ``otherwise`` and ``afterwards``, only in a member that acts everywhere: [state], the position
-    of an action if there is no decision, and after the member has given up or is over; -2 for none.
+    The memories "steps", "task" and "failing" also have ``place``: [number][state], the index of
+    the pair (number, state), -1 if it does not occur; and ``inner``: null, or a further memory, in
+    which these indices take the place of states;
+  - ``decision``: [memory][state], for the values of the innermost memory and its states: the
+    position of an action, -1 to give up, -2 for no decision, or a list of [position, probability];
+  - ``otherwise`` and ``afterwards``, only in a policy that acts everywhere: [state], the position
+    of the action taken where ``decision`` has none, and of the action taken after the policy has
+    given up or its episode is over; -2 for none.
 """
 
 from __future__ import annotations
@@ -103,9 +105,10 @@ class Controller:
         """Begin an episode.
 
         Args:
-            seed: of the lottery and of random actions; None: continue with the generator.
-            world: "model" rejects a state other than the observed one and a second observation of
-                one action, "other" accepts both; the controller does not know the model's steps.
+            seed: seed of the lottery and of random actions; None: continue with the generator.
+            world: "model": it is an error to ask for an action in a state other than the observed
+                one, or to observe twice after one action. "other": both are accepted. In
+                both cases observed steps are not compared with the model, which is not in the file.
 
         Raises:
             ValueError: another value of ``world``.
@@ -128,7 +131,7 @@ class Controller:
 
     @property
     def failed(self) -> bool:
-        """Whether the goal was lost or given up by the time of the last action."""
+        """Whether the goal was lost or given up before or by the last action."""
         return self._failed
 
     def action(self, state: Hashable) -> Hashable:
@@ -276,14 +279,14 @@ def _start_memory(memory: dict[str, Any] | None, state: int) -> Any:
 
 
 def _place_of(memory: dict[str, Any], number: int, state: int) -> int:
-    """Return the situation of a state and a memory's number.
+    """Return the index of the pair (number of a memory, state) in the file's ``place``.
 
     Raises:
         ValueError: the policy does not have this memory in this state.
     """
     place: int = memory["place"][number][state]
     if place < 0:
-        raise ValueError("the policy does not have this memory in this state")
+        raise ValueError("the policy never has this value of its memory in this state")
     return place
 
 
@@ -296,11 +299,11 @@ def _memory_after(
         memory: description of the memory in the file.
         value: the memory before the step.
         step: state, action and successor.
-        cost: of the step.
+        cost: cost of the step.
         quits: whether the action is taken with giving up.
 
     Raises:
-        ValueError: a cost or a step that the memory does not have.
+        ValueError: the memory has no value after this step or this cost.
     """
     if memory is None:
         return value
@@ -340,7 +343,7 @@ def _memory_after(
 def _number_after(
     memory: dict[str, Any], number: int, step: tuple[int, int, int], cost: float
 ) -> int:
-    """Return the number of a memory of steps or of a task after a step.
+    """Return the number in a memory of kind "steps" or "task" after a step.
 
     Raises:
         ValueError: the model has no such step at this cost.
@@ -356,13 +359,13 @@ def _number_after(
     for paid, then in moves:
         if paid is None or isclose(paid, cost, rel_tol=_OFF_LATTICE):
             return int(then)
-    raise ValueError(f"the model has no such step at observed cost {cost!r}")
+    raise ValueError(f"the model has no step between these states at observed cost {cost!r}")
 
 
 def _layer_or_tail(memory: dict[str, Any], layer: int, reached: float, state: int) -> int:
-    """Return the layer if it is below the cap, else the number of a tail.
+    """Return the memory at a layer: below the cap the layer, from there the code of a tail.
 
-    It is the last tail if the cost has reached the state's threshold, otherwise the first one.
+    The tail is the last one if ``reached`` is at least the state's threshold, else the first one.
     """
     threshold, cap = memory["threshold"][state], int(memory["cap"])
     if layer < cap:

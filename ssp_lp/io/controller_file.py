@@ -92,7 +92,7 @@ def controller_member(policy: Policy) -> dict[str, Any]:
 
 
 def _positions(model: SSP, codes: Mapping[Hashable, int], pairs: IntArray) -> IntArray:
-    """Return the number of the action of each pair; codes, which are negative, stay."""
+    """Return the file's number of each pair's action; negative codes are returned unchanged."""
     action = np.array([codes[name] for name in model.action_names] or [0])
     action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
     return np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)])
@@ -143,7 +143,7 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
 
 
 def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, Any]:
-    """Return the steps that change the memory of a product, as a controller's file lists them."""
+    """Return the memory of a product as a controller's file describes it: how steps change it."""
     if isinstance(product, HorizonSSP):
         acting = np.diff(product.original.pair_offsets) > 0
         return {"kind": "steps", "steps": product.steps, "acting": acting.astype(int).tolist()}
@@ -158,7 +158,7 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     for step, cost, then in zip(steps.tolist(), product.costs.tolist(), end.tolist(), strict=True):
         if after.setdefault(tuple(step), {}).setdefault(cost, then) != then:
             told = f"a step to state {product.original.states[step[3]]!r} at cost {cost:g}"
-            raise ModelError(f"a controller sees states and costs, so that after {told} it cannot "
+            raise ModelError(f"a controller sees states and costs: after {told} it cannot "
                              f"know whether the memory is {product.memories[then]!r}")  # fmt: skip
     moves: list[list[Any]] = []
     for step, by_cost in after.items():
@@ -170,19 +170,19 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     first = product.first_memory(states)
     begun = np.unique(first[product.table[states, first] >= 0]).tolist()
     if len(begun) > 1:
-        raise ModelError("a controller begins with one memory: use a policy for one start")
+        raise ModelError("the memory begins differently in several starts: use one start")
     return {"kind": "task", "start": begun[0], "moves": moves}
 
 
 def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:
-    """Return the numbers of a model's actions, then of the same actions with giving up."""
+    """Return the numbers of actions; with n actions, action k with giving up is number n + k."""
     names = product.original.action_names
     giving_up = zip(product.action_names[len(names) :], names, strict=True)
     return {**codes, **{name: len(codes) + codes[own] for name, own in giving_up}}
 
 
 def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:
-    """Return the decisions of a policy, [values of its innermost memory][states]."""
+    """Return a policy's decisions for each value of its innermost memory, then for each state."""
     over = np.zeros(policy.model.n_states, dtype=np.bool_)
     while isinstance(policy, RememberingPolicy | LabelledPolicy):
         product, policy = policy.product, policy.inner

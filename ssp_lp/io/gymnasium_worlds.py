@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     import gymnasium
 
 END = "end"
-"""First part of ("end", state): the end in a state that only some steps terminate in."""
+"""First part of ("end", state), the end in a state in which only some steps terminate."""
 
 CostFunction = Callable[[Any, Any, Any, float], float]
 """``(state, action, next_state, reward) -> cost``."""
@@ -81,10 +81,10 @@ class EnvironmentSSP(SSP):
         return (END, state) if terminated and state in self.ends else state
 
     def ends_among(self, listed: Callable[[Any], bool], label: Any) -> bool:
-        """Return whether a state of the model is an end for which a predicate holds.
+        """Return whether a model state stands for a listed state in which episodes terminate.
 
         Args:
-            listed: predicate on the states of the environment.
+            listed: predicate on states of the environment.
             label: state of the model.
         """
         is_end = isinstance(label, tuple) and label[0] == END
@@ -106,7 +106,7 @@ class EnvironmentSSP(SSP):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GridSSP(EnvironmentSSP):
-    """The model of an environment of coordinates, whose states are the cells of a grid."""
+    """The model of an environment whose state is coordinates; its states are cells of a grid."""
 
     world: ContinuousModel = field(kw_only=True)
     is_goal: Callable[[Any], bool] = field(kw_only=True)  # of a point in which it terminates
@@ -116,7 +116,7 @@ class GridSSP(EnvironmentSSP):
         return partial(SSP, **fields_of(self, SSP)), ()
 
     def seen(self, env: Any, observation: Any) -> tuple[float, ...]:
-        """Return the coordinates of the environment, of which observations are rounded."""
+        """Return the environment's exact coordinates; the observation has them rounded."""
         return tuple(map(float, env.unwrapped.state))
 
     def label(self, state: Any, terminated: bool) -> int:
@@ -179,12 +179,13 @@ def from_gymnasium(
             a grid it is a point, or ``{point: probability}``.
         grid: for an environment whose state is an array of coordinates (MountainCar, CartPole): a
             box of the coordinates and its cells. ``goal`` is then a predicate on the points in
-            which it terminates, or a set of cells of the grid, and the step limit is not a horizon
-            unless it is given as a number. Steps are taken from three points of each coordinate in
-            a cell.
-        survive: whether an episode that still goes on at the horizon has reached the goal.
-        dead_ends: the other states in which it terminates, or a predicate on states; any further
-            one is then an error. With a grid: "failed" and "outside".
+            which the environment terminates, or a set of cells of the grid. "env" means no horizon
+            then: give the number of steps. In each cell steps are tried from a lattice of points,
+            three along each coordinate.
+        survive: whether an episode that has not ended by the horizon has reached the goal.
+        dead_ends: the states, other than goals, in which the environment terminates, or a predicate
+            on states; if one is missing here, that is an error. With a grid: "failed" and
+            "outside".
 
     Returns:
         The model, its start and the step limit. With a horizon the model's states are (state, steps
@@ -233,7 +234,7 @@ def from_gymnasium(
     logging.getLogger("ssp_lp.building").info("%r", model)
     if steps is None:
         if survive:
-            raise ModelError("surviving needs a number of steps: ", Argument("horizon"))
+            raise ModelError("survive=True needs a number of steps: ", Argument("horizon"))
         return GymnasiumWorld(model, begin, limit, None, continuous)
     ends = () if continuous is None else tuple(continuous.dead_ends)  # absorbing, with actions
     unrolled = within_steps(model, steps, start=begin, survive=ends if survive else False)
@@ -241,7 +242,7 @@ def from_gymnasium(
 
 
 def _predicate(table: _Table, name: str, listed: StateSet | None) -> Callable[[Any], bool] | None:
-    """Return a predicate for a set of the environment's states, if it is not one already.
+    """Return the predicate of a set of the environment's states; a predicate is returned as it is.
 
     Raises:
         ModelError: a state that the table does not have.
@@ -266,7 +267,7 @@ def _is_in_box(grid: Grid, point: tuple[float, ...]) -> bool:
 
 
 FAILED, OUTSIDE = "failed", "outside"
-"""Dead-ends of a continuous environment: it terminated elsewhere, or left the box."""
+"""Dead-ends of a continuous environment: it ended outside the goal, or left the box."""
 
 
 @explained
@@ -310,7 +311,7 @@ def continuous_from_gymnasium(
     kind = np.asarray(state).dtype
 
     def step(point: Coordinates, action: Hashable, noise: Coordinates) -> Any:
-        """Take a step from each of many points in turn; return points, costs and ends."""
+        """Take a step from each of many points, one by one; return points, costs and ends."""
         places = np.broadcast_arrays(*point)
         after = np.empty((len(places), *places[0].shape))
         paid, ends = np.ones(places[0].shape), np.zeros(places[0].shape, dtype=np.int64)
@@ -361,7 +362,7 @@ def _name_of(env: Any) -> str:
 
 
 class _Table(NamedTuple):
-    """Transitions of an environment as arrays; states that only outcomes mention come last."""
+    """Transitions of an environment as arrays; states that its table lacks come last."""
 
     states: list[Hashable]  # [states]
     listed: int  # number of states in the table
@@ -397,7 +398,7 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
     pair = np.repeat(np.arange(len(outcomes)), list(map(len, outcomes)))
     entries = list(chain.from_iterable(outcomes))
     if set(map(len, entries)) - {4}:
-        raise ModelError("an outcome in the table must be (probability, state, reward, terminated)")
+        raise ModelError("outcomes in env.unwrapped.P must be (p, state, reward, terminated)")
     flat = list(chain.from_iterable(entries))
     probability, targets = np.array(flat[::4], dtype=np.float64), flat[1::4]
     for state in dict.fromkeys(targets):
@@ -467,13 +468,16 @@ def _model_of_table(
     goal: Callable[[Any], bool] | None,
     cost: CostFunction,
 ) -> EnvironmentSSP:
-    """Return the model of an environment: every state of its table, and the separate ends.
+    """Return the model of an environment's table.
+
+    A state in which only some steps terminate gets a separate end, ("end", state).
 
     Args:
         table: table of the environment.
-        begin: the states in which its episodes begin.
-        goal: predicate on states; None: goals are the states that are entered with a reward only.
-        cost: cost of a step.
+        begin: the states in which episodes begin.
+        goal: predicate on states; None: the goals are the states in which episodes terminate and
+            into which every step is rewarded.
+        cost: function that returns the cost of a step.
 
     Raises:
         ModelError: goals that do not follow from rewards, probabilities that do not sum to one, or
@@ -531,7 +535,7 @@ def _model_of_table(
 def _costs_of_outcomes(
     table: _Table, kept: IntArray, cost: CostFunction
 ) -> tuple[npt.ArrayLike, dict[float, Fraction]]:
-    """Return the costs of some outcomes of a table, and the fractions among them."""
+    """Return the costs of outcomes ``kept`` of a table, and the fractions behind their floats."""
     if cost is _step_cost:
         return 1.0, {}
     if cost is _reward_cost:
@@ -550,7 +554,8 @@ def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
     """Return a mask of states in which the environment terminates with a reward, [states].
 
     Raises:
-        ModelError: no such states, or one that is entered with a reward and without.
+        ModelError: no step that terminates is rewarded, or some steps into a state are and others
+            are not.
     """
     ending = steps[table.over[steps]]
     to, reward = table.target[ending], table.reward[ending]
@@ -566,7 +571,7 @@ def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
     goals = (least > 0.0) & (most > 0.0)
     if not goals.any():
         ends = [table.states[k] for k in list(dict.fromkeys(to.tolist()))[:5]]
-        message = f"no step into one of the environment's ends {ends} is rewarded: "
+        message = f"no step into a terminal state, {ends}, has a reward above 0: "
         raise ModelError(message, *_SAY_GOALS)
     return np.asarray(goals)
 
@@ -631,11 +636,11 @@ def rollout(
     Args:
         env: the environment; it is reset before each episode, and not closed. One that renders each
             step, or a wrapper that records, shows the policy at play.
-        policy: of a problem on ``from_gymnasium(env).model``, or on a product with that model.
+        policy: a policy of a problem on ``from_gymnasium(env).model``, or on a product with it.
         episodes: number of episodes.
-        seed: of the environment and of the policy's draws; the default plays the same each time.
+        seed: seed of the environment and of the policy's draws; equal seeds give equal episodes.
         max_steps: steps after which an episode is cut off; None: 10,000.
-        confidence: of the intervals.
+        confidence: confidence of the intervals, in (0, 1).
 
     Raises:
         MissingDependencyError: gymnasium is not installed.
@@ -719,7 +724,7 @@ class _Player:
     def _branches_of(
         self, member: Policy, state: int, memory: int
     ) -> tuple[list[int], list[int], list[float]]:
-        """Return the possible decisions: pairs, their memories, and cumulative probabilities."""
+        """Return the possible decisions: pairs, memories after them, cumulative probabilities."""
         branches = member.branches(np.array([state]), np.array([memory]))
         kept = branches.kept(np.array([memory]))
         if UNDECIDED in branches.pair:
@@ -764,7 +769,7 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
         model.check_step(pair, state)
         if terminated and not over[state]:
             raise ModelError(
-                f"the environment terminated in {model.states[state]!r}, but its table does not"
+                f"the environment terminated in {model.states[state]!r}, unlike env.unwrapped.P"
             )
         paid = float(model.step_cost(before, action, shown, float(reward)))
         check_costs(paid)

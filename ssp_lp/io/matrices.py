@@ -106,7 +106,7 @@ def _matrix(matrix: Any) -> Any:
 def _paid_by_matrix(
     given: Any, state: IntArray, action: IntArray, target: IntArray, matrices: Sequence[Any]
 ) -> FloatArray:
-    """Return the entry of each outcome in costs or rewards of any shape, [outcomes]."""
+    """Return each outcome's cost or reward from an array of any supported shape, [outcomes]."""
     n_states, n_actions = matrices[0].shape[0], len(matrices)
     if isinstance(given, (list, tuple)) and any(sp.issparse(part) for part in given):
         if len(given) != n_actions or any(part.shape != matrices[0].shape for part in given):
@@ -116,7 +116,7 @@ def _paid_by_matrix(
     try:
         table = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"costs or rewards are no numbers: {in_short(given)}") from error
+        raise ModelError(f"costs or rewards must be numbers, not {in_short(given)}") from error
     if table.shape == (n_states,):
         return np.asarray(table[state])
     if table.shape == (n_states, n_actions):

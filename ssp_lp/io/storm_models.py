@@ -21,11 +21,11 @@ Constants = str | Mapping[str, Any]
 """Values of a program's constants, such as "N=5,p=0.1"."""
 
 _BEYOND = "_OutOfBoundsBit"
-"""Storm's variable of states that it adds if another variable would leave its bounds; in a program
-that is explored again, underscores follow its name."""
+"""Name of a variable by which Storm marks states it adds where another variable would leave its
+bounds. If a program is explored again, underscores follow the name."""
 
 _REFUSALS = (RuntimeError, ValueError, IndexError, TypeError, OverflowError, MemoryError)
-"""Types of errors that Storm raises, which include Python's own."""
+"""Types of the errors that Storm raises."""
 
 _AVERAGED = (
     " (The cost differs between outcomes of one action, which Storm cannot represent: give each "
@@ -92,7 +92,7 @@ def read_with_storm(
     Raises:
         MissingDependencyError: stormpy is not installed.
         ModelError: Storm rejects the file, the goal or the constants; a model in continuous time,
-            with observations or parameters; or naming the wrong state and action.
+            with observations or parameters; or a wrong state and action, which the error names.
         OSError: the file cannot be read.
     """
     file = Path(path)
@@ -167,7 +167,7 @@ def _is_jani(program: Any) -> bool:
 
 
 def _reward_names(program: Any) -> list[str]:
-    """Return the names of a program's rewards, which in JANI are its transient numbers."""
+    """Return the names of a program's rewards: in JANI its transient variables that are numbers."""
     if not _is_jani(program):
         return sorted(reward.name for reward in program.reward_models)
     numbers = [v for v in program.global_variables if v.is_transient]
@@ -221,10 +221,11 @@ def _differs_between_outcomes(program: Any, cost: str) -> bool:
 
 
 def _bookkeeping(program: Any) -> dict[str, list[str] | None]:
-    """Return the variables that Storm adds to those of a program in JANI; others get none.
+    """Return the variables that Storm adds to the states of a JANI program.
 
     Returns:
-        The names of their locations; None: the variable distinguishes no states.
+        A dict from each added variable to the names of the locations that its values stand for, or
+        to None if the variable does not distinguish states. Empty if the program is not in JANI.
     """
     added: dict[str, list[str] | None] = {}
     if not _is_jani(program):
@@ -262,8 +263,8 @@ def from_stormpy(
 
     Raises:
         MissingDependencyError: stormpy is not installed.
-        ModelError: a model of another kind, no such goal or cost, or naming the wrong state and
-            action, for instance one with a negative reward.
+        ModelError: a model of another kind, no such goal or cost, or a wrong state and action, for
+            instance with a negative reward; the error names them.
     """
     formula = None
     if '"' in goal:
@@ -289,7 +290,7 @@ def _model_of_storm(
         cost: as in :func:`from_stormpy`.
         source: name of the model in errors.
         dead_ends: as in :func:`from_stormpy`.
-        program: the program that Storm explored, to whose variables it added some.
+        program: the program that Storm explored, if any, to recognise variables that Storm added.
 
     Raises:
         ModelError: see :func:`from_stormpy`.

@@ -44,11 +44,13 @@ _DOUBTFUL = 1e-7  # relative doubt in the objective from which on another backen
 _CLARABEL = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-9)
 """Tolerances below Clarabel's own, because long runs amplify violations of rows."""
 
-_REMEDY = "column generation needs no LP solver"
+_REMEDY = "use method='columns', which needs no LP solver"
 
 
 def backends_for(program: LinearProgram, backend: str | None) -> tuple[str, ...]:
-    """Return the requested LP backend, or the one for the program's size, and its fallbacks.
+    """Return the names of LP backends to try, in this order.
+
+    The first is the requested one or, if none is requested, the one for the program's size.
 
     Raises:
         ModelError: an unknown backend.
@@ -95,7 +97,7 @@ def first_accepted(
     if accepted:
         return min(accepted, key=lambda each: each[0])[1:]
     if is_late():
-        raise Stop(told=f"no backend's answer passed its check by then: {tried[-1]}")
+        raise Stop(told=f"no LP backend's answer passed its check in time: {tried[-1]}")
     failures = "; ".join(tried)
     raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
 
@@ -103,7 +105,9 @@ def first_accepted(
 def answers_in_turn(
     program: LinearProgram, backend: str | None, time_limit: float, basis: BoolArray | None = None
 ) -> Iterator[LPAnswer]:
-    """Yield unchecked answers of one LP backend after another; nan if the time ended before.
+    """Yield unchecked answers of one LP backend after another.
+
+    If the time ends before an answer, the last one has nan values.
 
     Args:
         program: the program.
@@ -136,8 +140,8 @@ def run_backend(
 ) -> LPAnswer:
     """Solve a program by one LP backend, without a check of the answer.
 
-    The call ends at the deadline of the surrounding call, or with Ctrl-C, even if the solver
-    ignores both: a large program is solved in another process, which is then killed.
+    The call ends at the current deadline (``compiled.deadline``) or with Ctrl-C, even if the solver
+    ignores both: a large program is solved in another process, which can be killed.
 
     Args:
         program: the program.
@@ -147,7 +151,7 @@ def run_backend(
 
     Raises:
         SolverError: the backend failed.
-        Stop: the deadline has passed, with its grace.
+        Stop: the deadline has passed, and so has the time of grace after it.
     """
     if program.matrix.nnz < _LARGE or not sys.executable:
         return _backend_answer(program, backend, time_limit, basis)
@@ -155,7 +159,7 @@ def run_backend(
     with TemporaryFile() as question:
 
         def write(part: bytes) -> int:
-            """Check the time, and write an array of the program."""
+            """Check the deadline, then write a part of the pickled program."""
             check_time()
             return question.write(part)
 
@@ -209,9 +213,10 @@ def _backend_answer(
 
 
 def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
-    """Solve a program by the LP backend cvxpy, stated row by row, with Clarabel.
+    """Solve a program by Clarabel, called through cvxpy.
 
     Args:
+        program: the program.
         time_limit: seconds.
     """
     import cvxpy as cp

@@ -50,8 +50,9 @@ def solve_with_highs(
     Args:
         backend: "highs-simplex" or "highs-ipx".
         time_limit: seconds.
-        basis: basis of an answer to a program of this shape, from which the simplex starts. It
-            may stop before the optimum if a cold start is about as fast.
+        basis: basis of an answer to a program of this shape, from which the simplex starts. Then it
+            stops after a limited number of steps, perhaps before the optimum, because a cold start
+            would be about as fast.
 
     Raises:
         SolverError: HiGHS refuses an option or the model.
@@ -69,7 +70,7 @@ def solve_with_highs(
 def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple[float, float]]:
     """Return the range of each row's upper bound in which its dual stays constant, by HiGHS.
 
-    At a degenerate vertex it is the range of one of its bases, that is of one of the optimal duals.
+    At a degenerate vertex several duals are optimal; the range is that of one of them.
 
     Raises:
         SolverError: HiGHS finds no optimum, or no ranges.
@@ -93,10 +94,10 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
 def _solved_by_highs(
     program: LinearProgram, backend: str, time_limit: float = np.inf, basis: BoolArray | None = None
 ) -> highspy.Highs:
-    """Solve a program by HiGHS, from a basis if given, and return the solver.
+    """Solve a program by HiGHS, from a basis if given, and return the HiGHS object.
 
-    After a doubtful answer the program is solved again without presolve, because with presolve
-    HiGHS 1.15 calls some feasible programs infeasible.
+    If the answer is doubtful, the program is solved again without presolve: with presolve HiGHS
+    1.15 reports some feasible programs as infeasible.
     """
     options: HighsOptions = {"solver": backend.removeprefix("highs-"), **_SHARP}
     if np.isfinite(time_limit):
@@ -121,14 +122,15 @@ def _solved_by_highs(
 
 
 def minimiser(program: LinearProgram) -> Callable[[FloatArray], float]:
-    """Return a function that minimises an objective, [columns], over a program; nan: no optimum.
+    """Return a function from an objective, [columns], to its minimum within a program's rows.
 
-    HiGHS's simplex goes on from the optimum of the last objective.
+    The function returns nan if HiGHS finds no optimum. Each call starts from the optimum of the
+    last one.
     """
     solver = highs_solver(highs_lp(program), {"solver": "simplex", "simplex_strategy": 4, **_SHARP})
 
     def least(cost: FloatArray) -> float:
-        """Return the least value of an objective."""
+        """Return the minimum of ``cost @ x`` within the program's rows, or nan."""
         solver.changeColsCost(cost.size, np.arange(cost.size, dtype=np.int32), cost)
         for _ in range(2):
             run_highs(solver)
@@ -160,7 +162,7 @@ def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:
         if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
             raise SolverError(f"HiGHS refuses the option {name}={value!r}")
     if solver.passModel(lp) == highspy.HighsStatus.kError:
-        raise SolverError("HiGHS refuses the linear program")
+        raise SolverError("HiGHS refuses the linear program: make all its numbers finite")
     return solver
 
 

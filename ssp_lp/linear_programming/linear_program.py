@@ -1,4 +1,4 @@
-"""Linear programs with named rows, as arrays and in print, and answers with residuals."""
+"""Linear programs with named rows, as arrays and as text, and the residuals of their solutions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _RELATIONS = {"=": "=", "<=": r"\le"}
 
 @dataclass(frozen=True, eq=False)
 class LinearProgram:
-    """``minimise cost @ x`` with ``lower <= matrix @ x <= upper`` and ``x >= 0``, rows named."""
+    """The program ``minimise cost @ x`` with ``lower <= matrix @ x <= upper`` and ``x >= 0``."""
 
     cost: FloatArray  # [columns]
     matrix: sp.csc_array  # [rows, columns]
@@ -46,14 +46,17 @@ class LinearProgram:
 
     @property
     def sides(self) -> list[tuple[str, float]]:
-        """Relation and bound of each row."""
+        """Relation, "=" or "<=", and upper bound of each row."""
         relations = np.where(self.equality, "=", "<=").tolist()
         return list(zip(relations, self.upper.tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class LPAnswer:
-    """Primal and dual values; a row's dual is the objective's derivative by its right side."""
+    """A solver's primal and dual solution of a linear program.
+
+    The dual of a row is the derivative of the optimum with respect to the row's right side.
+    """
 
     backend: str
     x: FloatArray  # [columns]
@@ -64,7 +67,7 @@ class LPAnswer:
 
 
 class MeasuredRow(NamedTuple):
-    """A row at a measure: its activity, bound and dual."""
+    """A row of an occupation program with its value for given visits, its bound and its dual."""
 
     name: str
     spent: float
@@ -94,16 +97,16 @@ def check_bounds(bounds: Mapping[str, object]) -> None:
 
 
 def answer_faults(program: LinearProgram, answer: LPAnswer) -> tuple[float, float]:
-    """Measure how far an answer violates a program, and the possible effect on the objective.
+    """Return the residual of a solver's answer, and its possible effect on the objective.
 
-    If runs end with probability 1e-6 a step, the violation of a row counts a million times. The
-    effect on the objective is a violation times its dual, or a negative reduced cost times the
-    visits.
+    The effect is a violation times its dual, or a negative reduced cost times the visits. It may be
+    large although the residual is small: if runs end with probability 1e-6 a step, the violation of
+    a row counts a million times.
 
     Returns:
-        The largest of three residuals: violation of a row or of x >= 0, negative reduced cost, and
-        gap between primal and dual objective, each relative to the size of its numbers, with nan
-        counted as infinite; and the greatest effect, relative to the objective.
+        The residual: the largest of the violation of a row or of x >= 0, the negative reduced cost,
+        and the gap between primal and dual objective, each relative to the size of its numbers (nan
+        counts as infinite). Then the greatest effect, relative to the objective.
     """
     x, dual, activity = answer.x, answer.dual, program.matrix @ answer.x
     short = np.maximum(np.maximum(program.lower - activity, activity - program.upper), 0.0)
@@ -124,12 +127,12 @@ def answer_faults(program: LinearProgram, answer: LPAnswer) -> tuple[float, floa
 
 
 def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> Table | None:
-    """Return a program in full, a row for each column, then the bounds; None if too wide.
+    """Return a program as a table with a line for each column, then its bounds; None if too wide.
 
     Args:
         program: the program.
-        columns: names.
-        rows: names.
+        columns: names of the columns.
+        rows: names of the rows.
     """
     taken = np.vstack([program.cost, program.matrix.toarray()]).T
     lines = [

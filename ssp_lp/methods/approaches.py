@@ -1,7 +1,7 @@
 """The table of approaches: each solves a class of problems and proves its solutions.
 
-An approach states the cases that it answers. ``solve`` and ``certify`` take the first approach of
-the table that answers the case.
+An approach has a test of the cases that it can solve. ``solve`` and ``certify`` take the first
+approach of the table whose test accepts the case.
 :func:`refusal` explains why a method does not support a problem.
 """
 
@@ -53,7 +53,11 @@ class Case:
 
     @staticmethod
     def of_solution(solution: Solution) -> Case:
-        """Return the case of a solution; without a value function, a case with no time left."""
+        """Return the case of proving a solution.
+
+        A solution without a value function may come from split costs, for lack of time. Its case
+        therefore has no time left.
+        """
         seconds = 0.0 if solution.value_function is None else np.inf
         on_levels = levels_of(solution.policy.policies) is not None
         return Case(solution.problem, seconds, on_levels=on_levels)
@@ -76,7 +80,10 @@ class _Approach:
 
 
 def _is_on_rounded_costs(case: Case) -> bool:
-    """Return whether costs are rounded, since their law has too many sums (never with rows)."""
+    """Return whether the problem needs rounded costs: its total cost has too many values.
+
+    Problems with constraints are never solved on rounded costs.
+    """
     problem, written_out = case.problem, case.by_program or case.on_levels
     if problem.totals is not TotalScale.GRID or written_out:
         return False
@@ -115,7 +122,7 @@ APPROACHES = (
 
 
 def approach_to(case: Case) -> _Approach:
-    """Return the approach that answers a case."""
+    """Return the first approach of the table that can solve a case."""
     for approach in APPROACHES:
         if approach.answers(case):
             break

@@ -60,7 +60,10 @@ _REASONS = {
 
 
 def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve for the greatest or least goal probability, checked by the full program if chosen."""
+    """Solve for the greatest or least goal probability by policy iteration.
+
+    If ``options`` choose the full linear program, it is solved as well, as a check.
+    """
     compiled, aim = problem.compile(), problem.semantics.aim
     start = compiled.facts.start
     reach = extreme_goal_reach(problem.model, aim, start)
@@ -165,10 +168,11 @@ _SURELY = 1.0 - 1e-9  # share of the budget: a lower failure proves that the lea
 
 
 def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """Prove a lower bound of the cost of policies of least failure, by finite prices of failure.
+    """Prove a lower bound of the cost of policies of least failure.
 
-    Such a bound holds for every policy. If rounding leaves a gap at these prices, the second stage
-    gives the bound, over the pairs that were found to attain the greatest goal probability.
+    The dual bound at a high price of failure holds for every policy. If no price closes the gap,
+    because of rounding, the bound of the second stage is returned: it holds for policies of the
+    pairs that were found to attain the greatest goal probability.
     """
     compiled, sense = solution.problem.compile(), solution.problem.semantics.sense
     safest = compiled.least_failure()
@@ -187,12 +191,12 @@ def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) ->
 
 
 def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
-    """Prove the lower bound that the price of failure gives.
+    """Prove a lower bound of the objective from a solution's price of failure and values.
 
     Args:
         solution: the solution to certify.
         evaluation: evaluation of its policy.
-        attained: the least failure of a known policy.
+        attained: the least failure among the members of the policy's lottery.
 
     Raises:
         ModelError: the solution has no price and value function, or these do not fit the problem.
@@ -203,7 +207,7 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
         solution = best_within_budget(problem, CERTIFYING)
     sense, price, values = problem.semantics.sense, solution.failure_price, solution.value_function
     if price is None or values is None:
-        raise ModelError("the solution has no price and value function to certify")
+        raise ModelError("the solution lacks a price or a value function: solve the problem again")
     penalty = problem.semantics.penalty  # part of the cost, not of the failure row's price
     price = 0.0 if price == penalty else price - penalty
     if not (np.isfinite(price) and price >= 0.0):
@@ -237,7 +241,18 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
 def _bound_by_values(
     compiled: CompiledProblem, row: FailureRow, price: float, slack: bool, solution: Solution
 ) -> tuple[float, float]:
-    """Return the lower bound that values prove, and the relative gap that truncation leaves."""
+    """Return the lower bound that a solution's value function proves, and the loss by the cap.
+
+    Args:
+        compiled: the problem.
+        row: the failure row.
+        price: price of failure.
+        slack: whether the budget is slack: the price of the failure row is 0.
+        solution: has the value function, of the shape that ``compiled`` expects.
+
+    Returns:
+        The bound, and the part of the relative gap that is due to the cap on accumulated cost.
+    """
     slack = slack and row.ratio
     price = price * BELOW_RATIO if slack else price
     by_success = slack or row.is_rare
@@ -251,10 +266,11 @@ def _bound_by_values(
 
 
 def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve by the paper's construction, the game, without columns or linear programs.
+    """Solve by the paper's zero-sum game, without columns or linear programs.
 
-    With a fixed M (``options.tail``) the policy is evaluated exactly, and the bound still holds for
-    all policies.
+    ``options.tail`` is the paper's M: once a run has cost M, the policy fails as surely as
+    possible. If it is given, the policy is the best with this M, and its objective is evaluated
+    exactly. The lower bound comes from the game without a fixed M, and holds for all policies.
     """
     from ssp_lp.game.optimum import stationary_game
 
@@ -294,13 +310,13 @@ _NEAR = 1e-9  # distance of a failure from the budget at which this may be the l
 def refined_optimum(
     compiled: CompiledProblem, budget: float, options: SolveOptions, guess: DualGuess | None = None
 ) -> Optimum[CompiledProblem]:
-    """Run column generation on finer and finer compiled problems until the gap is met.
+    """Run column generation on finer and finer compiled problems, to the tolerance of the gap.
 
     Args:
         compiled: the first problem.
         budget: failure budget.
         options: method, tolerance and limits.
-        guess: a guess of the price, or None.
+        guess: a guess of the price of failure, or None.
 
     Raises:
         InfeasibleError: no policy satisfies the budget.
@@ -335,9 +351,11 @@ def refined_optimum(
 def _capped_by_case_m(
     compiled: CompiledProblem, budget: float
 ) -> tuple[CompiledProblem, DualGuess | None]:
-    """Return the problem with a first cap from the price of case M, if ``is_long_shot``.
+    """Return a case S problem with a good first cap on accumulated cost, and a first price.
 
-    Case M has one layer, and its price is about that of case S.
+    The problem is returned unchanged unless its own first cap is only a guess (``is_long_shot``).
+    Then case M is solved, which needs no accumulated cost. Its price of failure is near that of
+    case S, and the cap is a multiple of that price.
     """
     if not compiled.is_long_shot:
         return compiled, None
@@ -357,10 +375,11 @@ def _capped_by_case_m(
 def _safest_optimum(
     compiled: CompiledProblem, row: FailureRow, least: LeastFailure | None, stop: BaseException
 ) -> Optimum[CompiledProblem]:
-    """Return the column of least failure, after a stop before a column was within the budget.
+    """Return the policy of least failure, for a search stopped before it had a feasible policy.
 
     Raises:
-        Stop: there is no time to compute it, or a better incumbent exists.
+        Stop: an incumbent of case M is known, which is better, or there is no time to compute the
+            policy of least failure.
     """
     if prepared() is not None:  # a better incumbent exists
         raise Stop from stop
@@ -370,7 +389,7 @@ def _safest_optimum(
         optimum = _attempt(compiled, row, least, options, None, by_pricing=False)
         return replace(optimum, generated=replace(optimum.generated, finished=False))
     words = stop.told if isinstance(stop, Stop) else ""
-    raise Stop(told=words or "no policy had been evaluated") from stop
+    raise Stop(told=words or "no policy was evaluated") from stop
 
 
 def _attempt(
@@ -382,11 +401,13 @@ def _attempt(
     *,
     by_pricing: bool = True,
 ) -> Optimum[CompiledProblem]:
-    """Run one search, started at the dual of the linear program if that is the method.
+    """Run column generation once, on one process.
 
-    If the budget equals the least failure, no program is solved, because its feasibility would
-    depend on rounding: the column of least failure is the answer, with its own bound. The least
-    failure is computed if the safest column is so near the budget that both may be equal.
+    If ``options`` choose the full linear program, it is solved first, and its dual is the first
+    price. If the budget equals the least failure, no program is solved, because rounding would
+    decide whether it is feasible: the answer is the policy of least failure, with its own bound.
+    The least failure is computed if the safest column is so near the budget that the two may be
+    equal.
 
     Args:
         compiled: the problem.

@@ -8,13 +8,13 @@ Its lower bound is the value of its best lottery, the Lagrangian bound
 
     max over prices of  min over its policies of  cost + price * (failure - budget).
 
-It is proved by the values of the priced process, which lack only the excluded pairs. The lottery
-mixes a policy that satisfies the budget, which may be a better incumbent, with one that violates
-it. Both are optimal at the price, so that they differ in few states: often one. The node is divided
-at the state to which the difference in failure is due most: policies that take the first policy's
-pair there, and the others. Neither part contains both policies, so that the bounds of both parts
-may rise. The node of least bound is divided first. A node without a policy that violates the budget
-at the least price is solved: its best policy is deterministic.
+It is proved by values of the process at that price, without the excluded pairs. The lottery mixes
+two policies: ``inside`` satisfies the budget and may be a better incumbent, ``outside`` violates
+it. Both are optimal at the price, and differ in few states, often in one. The node is divided at
+the state that contributes most to their difference in failure: one part takes the pair of
+``inside`` there, the other part excludes it. Neither part contains both policies, so the bounds of
+both parts may rise. The node of least bound is divided first. A node is solved if no policy
+violates the budget at the least price: its best policy is deterministic.
 
 The number of nodes may be exponential: the problem is NP-hard (Dolgov and Durfee 2005). The least
 bound of all open nodes is a bound at any time, so that a search that is stopped has a certified
@@ -23,10 +23,14 @@ gap.
 A deterministic optimum is a step function of the budget: it has no price of failure unless the
 budget is slack.
 
-Two kinds of policies are covered by the bound but not searched, so that a gap may remain without a
-time limit: those whose exit from a collapsed component depends on the entry, and those that differ
-from the tails beyond the cap of case S. A node is not divided at these states. Policies with more
-memory than the state of the process, which could randomise by observing chance, are not covered.
+A gap may remain, even without a time limit, because the bound covers two kinds of policies that
+are not searched:
+
+- policies that leave a collapsed end component by an exit that depends on where they entered it;
+- in case S, policies that act beyond the cap in another way than the tail policies do.
+
+A node is not divided at these states. The bound does not cover policies with more memory than the
+state of the process, which could randomise by remembering random outcomes.
 """
 
 from __future__ import annotations
@@ -118,7 +122,7 @@ def best_deterministic(mixed: Solution, outcome: Optimum[Any], tolerance: float)
     if not finished and "stopped" not in mixed.note:
         remarks.append("stopped before the search was finished; the gap is still certified")
     if finished and gap > max(_OPEN, 2.0 * tolerance):
-        remarks.append("the gap bounds the gain of policies outside the search")
+        remarks.append("policies outside the search may be better, by at most the gap")
     is_slack = (
         len(generated.columns) == 1 and mixed.failure_price == mixed.problem.semantics.penalty
     )
@@ -145,7 +149,7 @@ class _PolicySearch:
 
     @cached_property
     def relaxation(self) -> _DeterministicRelaxation:
-        """The explicit process, with its relaxation."""
+        """The explicit process, and its relaxation that contains all deterministic policies."""
         return deterministic_relaxation(self.outcome.compiled, self.outcome.kappa)
 
     def run(self) -> bool:
@@ -162,7 +166,15 @@ class _PolicySearch:
         return finished
 
     def _branch(self, process: ExplicitProcess, free: BoolArray) -> tuple[float, bool]:
-        """Branch until the gap is closed; return a lower bound, and whether the search ended."""
+        """Search a process by branch and bound.
+
+        Args:
+            process: the process, or its relaxation.
+            free: states at which no node is divided, [states].
+
+        Returns:
+            A lower bound of all its policies, and whether the search ended before the time limit.
+        """
         tree = _Tree(process, self.outcome.row, free, self, self.outcome.kappa)
         with WithIncumbent() as growth:
             tree.grow(self.relaxation.fallback)
@@ -181,13 +193,16 @@ class _PolicySearch:
                 self.best = Answer(policy, value, self.best.bound, found.failure)
 
     def is_closed(self, bound: float) -> bool:
-        """Return whether policies of this lower bound cannot improve on the best one."""
+        """Return whether a node of this lower bound has no policy better than the incumbent."""
         return relative_gap(self.best.value, bound) <= self.tolerance
 
 
 @dataclass(frozen=True, eq=False)
 class _Node:
-    """A set of policies, with its best lottery: ``inside`` satisfies the budget, the other not."""
+    """A set of policies, with the two policies of its best lottery.
+
+    ``inside`` satisfies the budget, ``outside`` violates it.
+    """
 
     bound: float  # certified lower bound of the objective
     price: float  # of failure, at which the two policies are equally good
@@ -217,10 +232,10 @@ class _Tree:
         return least if np.isfinite(least) else -np.inf
 
     def grow(self, choice: IntArray) -> None:
-        """Divide the set of least bound until the gap is closed or time is up.
+        """Divide the node of least bound until the gap is closed or time is up.
 
         Args:
-            choice: a policy that leaves, [states].
+            choice: the pair of each state under a policy that ends every run, [states].
         """
         self._add(_Node(-np.inf, self.price, choice, choice), choice)
         while self.nodes and not is_late():
@@ -234,10 +249,11 @@ class _Tree:
             heapq.heappop(self.nodes)  # still the first: its parts have no lower bound
 
     def _differing(self, node: _Node) -> int:
-        """Return the inside policy's pair to which the difference in failure is due most.
+        """Return the pair of ``inside`` that contributes most to the difference in failure.
 
-        By the performance difference lemma, the difference is the sum over the states of the inside
-        policy's visits times its pair's advantage over the outside policy. -1: no pair differs.
+        By the performance difference lemma, the failure of ``inside`` minus that of ``outside`` is
+        a sum over states: visits of ``inside`` times the advantage of its pair over ``outside``.
+        The result is -1 if the two policies differ in no state that may be divided.
         """
         process, inside, outside = self.process, node.inside, node.outside
         states = np.flatnonzero((inside != outside) & ~self.free)
@@ -250,11 +266,11 @@ class _Tree:
         return int(inside[states[0]]) if states.size else -1
 
     def _add(self, node: _Node, choice: IntArray) -> None:
-        """Bound a set of policies by its best lottery; keep it unless the bound closes it.
+        """Put a node on the heap, with the bound of its best lottery, unless the bound closes it.
 
         Args:
-            node: the pairs that its policies take; its price is the first one.
-            choice: a policy of the set that leaves, [states].
+            node: the node; the search for its best price begins at ``node.price``.
+            choice: the pair of each state under a policy of the node that ends every run, [states].
         """
         inside: Column | None = None
         outside: Column | None = None
@@ -289,7 +305,10 @@ class _Tree:
             self.closed = min(self.closed, bound)
 
     def _rewards(self, node: _Node) -> FloatArray:
-        """Return cost, failure and goal of each pair, [pairs, 3]; excluded ones cost too much."""
+        """Return cost, failure and goal of each pair, [pairs, 3].
+
+        Pairs that the node excludes have so large a cost that no optimal policy takes them.
+        """
         process, taken = self.process, np.array(node.taken, dtype=np.int64)
         excluded = np.zeros(process.n_states, dtype=np.bool_)
         excluded[process.pair_state[taken]] = True
@@ -300,7 +319,13 @@ class _Tree:
         return np.stack([cost, process.failure, process.goal], axis=1)
 
     def _priced(self, rewards: FloatArray, price: float, choice: IntArray) -> Column:
-        """Return the column of least priced cost."""
+        """Return a column of least ``cost + price * failure``.
+
+        Args:
+            rewards: cost, failure and goal, [pairs, 3].
+            price: price of failure.
+            choice: the policy from which policy iteration starts, [states].
+        """
         weights = np.array([1.0, price, 0.0])
         found = self._neighbours.improved(rewards, weights, choice) if self._is_small else None
         if found is None:
@@ -312,14 +337,14 @@ class _Tree:
 
     @cached_property
     def _is_small(self) -> bool:
-        """Whether visits from all pairs fit into a small table, and every state has a pair."""
+        """Whether a dense matrix [pairs, states] of visits is small, and every state has a pair."""
         process = self.process
         has_pairs = bool((np.diff(process.pair_offsets) > 0).all())
         return 0 < process.n_pairs * process.n_states <= _MOST_VISITS and has_pairs
 
     @cached_property
     def _neighbours(self) -> _Neighbours:
-        """Fast policy iteration near the last policies."""
+        """Policy iteration that is fast for policies near the last one."""
         return _Neighbours(self.process, np.full(self.process.n_states, -1))
 
     def _proved(self, rewards: FloatArray, column: Column) -> float:
@@ -340,7 +365,15 @@ class _Tree:
         return self.row.lower_bound(Proof(price, price, priced, np.zeros(0)))
 
     def _next_price(self, price: float, inside: Column | None, outside: Column | None) -> float:
-        """Return the price at which the bound may be greatest; the same one: there is no other."""
+        """Return the next price at which the node's bound may be greatest.
+
+        If it equals ``price``, the search for the node's best price ends.
+
+        Args:
+            price: the price of the last step.
+            inside: the last column that satisfies the budget, or None.
+            outside: the last column that violates it, or None.
+        """
         row, least = self.row, _LEAST_PRICE * self.price
         if inside is None:
             if outside is None:
@@ -358,7 +391,10 @@ class _Tree:
 
 @dataclass(eq=False)
 class _Neighbours:
-    """Policy iteration by updates of the inverse of a policy's equations. Mutable: the policy."""
+    """Policy iteration that updates the inverse matrix of one policy's equations.
+
+    Mutable: the policy and its inverse are replaced when too many states differ from it.
+    """
 
     process: ExplicitProcess
     choice: IntArray  # [states] the policy; -1: none yet
@@ -368,12 +404,17 @@ class _Neighbours:
     def improved(
         self, rewards: FloatArray, weights: FloatArray, choice: IntArray
     ) -> tuple[IntArray, FloatArray] | None:
-        """Return a policy that no pair improves, and its totals; None if rounding prevents it.
+        """Return a policy of least weighted rewards, and its expected totals.
+
+        The result is None if rounding errors of the inverse prevent convergence.
 
         Args:
             rewards: [pairs, rewards].
-            weights: [rewards].
-            choice: a policy that leaves, [states].
+            weights: weight of each reward, [rewards].
+            choice: the pair of each state under a policy that ends every run, [states].
+
+        Returns:
+            The pair of each state, [states], and the totals, [states, rewards].
         """
         process, above = self.process, np.full(len(choice), np.inf)
         offsets, priced = process.pair_offsets, weighted(rewards, weights)
@@ -396,7 +437,10 @@ class _Neighbours:
         return None
 
     def _totals(self, rewards: FloatArray, choice: IntArray) -> FloatArray:
-        """Evaluate a policy by the Sherman-Morrison-Woodbury formula, [states, rewards]."""
+        """Return a policy's expected totals of the rewards, [states, rewards].
+
+        The inverse of the last policy is updated by the Sherman-Morrison-Woodbury formula.
+        """
         steps = self.process.transitions
         states = np.flatnonzero(choice != self.choice)
         if states.size > _FAR * choice.size:
@@ -419,12 +463,14 @@ _ENDLESS = 1e9  # price of failure, relative to 1 + the optimal one, at which no
 
 @dataclass(frozen=True, eq=False)
 class _DeterministicRelaxation:
-    """A process, and a relaxation that contains all its deterministic policies.
+    """A process, and a relaxation of it that contains all deterministic policies of the model.
 
-    The exit of a deterministic policy from a collapsed component may depend on the entry, and the
-    policy may differ from the tails beyond the cap of case S. ``relaxed`` allows for both. Some
-    states ``may_randomise``. Beyond the cap any success probability that some policy attains is
-    allowed, and success costs only the amount paid at the cap.
+    Two kinds of deterministic policies are missing in ``process``: a policy may leave a collapsed
+    end component by an exit that depends on the entry, and in case S it may act beyond the cap in
+    another way than the tail policies. ``relaxed`` contains these as well, as policies that
+    randomise in the states ``may_randomise``. Beyond the cap it allows every goal probability
+    between the least and the greatest, and success costs only the total at which the cap was
+    passed.
     """
 
     compiled: CompiledProblem
@@ -435,7 +481,10 @@ class _DeterministicRelaxation:
     measure: Callable[[IntArray], list[Column]]  # evaluates the policies of a choice exactly
 
     def completed(self, choice: IntArray) -> IntArray | None:
-        """Return the choice, with ``fallback`` in unreached states; None if it may never leave."""
+        """Return the choice, with ``fallback`` in the states that it does not reach, [states].
+
+        The result is None if some run under the choice may never end.
+        """
         process = self.process
         chain = sp.csr_array(process.transitions[choice])
         chain.eliminate_zeros()
@@ -475,7 +524,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
         free[: len(merged)] = merged
 
         def measure(choice: IntArray) -> list[Column]:
-            """Evaluate a choice."""
+            """Return the column of a choice, evaluated exactly."""
             return [labelled.explicit_pricing.measure(choice.astype(np.int32))]
 
     else:
@@ -487,7 +536,11 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
         relaxed = _with_loose_tails(process, layered.process, beyond)
 
         def measure(choice: IntArray) -> list[Column]:
-            """Evaluate the decisions below the cap, followed by the tails of three prices."""
+            """Return three columns of a choice, which differ in the tail policies beyond the cap.
+
+            The tail policies are those at the price, at price 0, and at a price at which none
+            gives up.
+            """
             within = choice[: cap * base.n_nodes].reshape(cap, base.n_nodes)
             shift = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1]
             tails = (price, 0.0, _ENDLESS * (1.0 + price))
@@ -506,11 +559,12 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
 def _with_loose_tails(
     process: ExplicitProcess, layered: LayeredProcess, beyond: IntArray
 ) -> ExplicitProcess:
-    """Return a process whose tails attain the greatest and the least success at the cost paid.
+    """Return a process whose two tails bound everything that a policy may do beyond the cap.
 
     From accumulated cost r on, success costs at least ``r * E[gamma^(T-1); goal]``, and its
-    probability lies between the greatest and the least. So for every policy some mixture of the
-    tails costs no more.
+    probability lies between a least and a greatest one. One tail has the least probability, the
+    other one the greatest, both at that least cost. So every policy beyond the cap costs at least
+    as much as some mixture of the two tails.
     """
     base, tails = layered.base, layered.tails
     n_layers = base.width - 1

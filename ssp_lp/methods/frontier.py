@@ -12,10 +12,10 @@ segment by more than the gap. Two searches find the split point:
   is a line below the frontier. The problem is solved next where the lines of two neighbours meet.
 
 **Given success** the objective is a ratio, for which prices prove ``cost / goal >= c - (c - L +
-price * (bound - its own bound)) * t`` with the attained value c and ``t = 1 / goal``. The goal
-probability of a lottery is unknown, but it is the same in all these lines: the least over t >= 1
-of their maximum is a bound. Lines that are tight inside a segment pass through both its ends and
-meet nowhere else: there the bound is tight.
+price * (bound - its own bound)) * t`` with the attained value c and ``t = 1 / goal``. Each optimum
+proves such a line in t. The goal probability of a lottery is unknown, but every line holds at the
+lottery's own t. The lower bound is therefore the least value over t >= 1 of the maximum of all
+lines. It is tight on a segment of the frontier, where the lines of both ends meet in one point.
 """
 
 from __future__ import annotations
@@ -135,8 +135,8 @@ def trace_frontier(
             case S) rather than at the least failure, near which the price grows without bound.
         point_limit: stop splitting after this number of turning points. Segments with the largest
             gap are split first, and the frontier's ``gap`` is the one reached.
-        time_limit: seconds after which splitting stops, also within a pricing call, as Ctrl-C does
-            at once. The points found are kept; ``open_segments`` lists where points may be missing.
+        time_limit: seconds after which splitting stops, also within a pricing call; so does Ctrl-C.
+            The points found are kept, and ``open_segments`` lists where points may be missing.
         progress: called after each pricing call with (calls, turning points so far).
         verbose: show the progress (``ssp_lp.progress_shown``).
 
@@ -297,7 +297,7 @@ class Frontier(Report):
             low, high = self.bounds_at(budget)
             raise SolverError(
                 f"the frontier is not settled at the budget {budget:g}: the least objective lies "
-                f"between {low!r} and {high!r} (bounds_at); policy_at attains the latter. "
+                f"between {low!r} and {high!r} (bounds_at), which a policy attains (policy_at). "
                 "Set a higher ",
                 Argument("point_limit"),
                 " or ",
@@ -312,8 +312,8 @@ class Frontier(Report):
 
         One bound is the value of :meth:`policy_at`. If only the failure budget is traced, the other
         bound is proved at the price of the segment and, if the segment is not settled, at the
-        prices of its ends: one to three pricing calls, cached for all budgets. Otherwise it is
-        proved at the prices of all optima.
+        prices of its ends: one to three pricing calls, cached for all budgets. For other frontiers
+        it is proved, without a pricing call, at the prices of all optima found while tracing.
 
         Raises:
             InfeasibleError: the budget is below the least feasible one.
@@ -383,10 +383,10 @@ class Frontier(Report):
         return axes
 
     def tables(self) -> list[Table]:
-        """Return one table with a row for each turning point, of which text shows a few.
+        """Return one table with a row for each turning point; printed text shows a few rows.
 
-        Columns: the traced quantity under its name, goal, cost, objective; price and below of the
-        segment that begins at the point, empty at the last point.
+        Columns: the traced quantity under its name, goal, cost and objective at the point; price
+        of, and gap below, the segment that begins there (empty at the last point).
         """
         price, below = ([*each.tolist(), None] for each in (self.price, self.below))
         points = (x.tolist() for x in (self.spent, self.goal, self.cost, self.objective))
@@ -404,7 +404,7 @@ class Frontier(Report):
         ]
 
     def __repr__(self) -> str:
-        """One line."""
+        """Return the number of points, the ranges and the gap in one line."""
         return f"Frontier({self._title})"
 
     @property
@@ -446,7 +446,10 @@ class Frontier(Report):
         return number, (budget - float(spent[number])) / width
 
     def _least_failure(self) -> float:
-        """Return the least failure probability, computed when the error's attribute is read."""
+        """Return the least failure probability of the problem.
+
+        An InfeasibleError calls this only when its attribute is read.
+        """
         if self.problem is None:
             return float(self.failure.min())
         return budget_of_share(self.problem.model, self.problem.start, 1.0)
@@ -488,7 +491,7 @@ class _TraceLimits:
 
 @dataclass(frozen=True, eq=False)
 class _ColumnPoints:
-    """The turning points as columns, with cached proofs at prices."""
+    """The turning points as columns, with the dual bounds proved so far, by price."""
 
     pricing: PricingProblem
     columns: tuple[Column, ...]  # [points]
@@ -501,7 +504,18 @@ class _ColumnPoints:
     def proved(
         self, frontier: Frontier, number: int, weight: float, budget: float, attained: float
     ) -> float:
-        """Return a lower bound within a budget, proved at the prices around it."""
+        """Return a certified lower bound of the objective of all policies within a budget.
+
+        It is proved at the prices of the adjacent segments and, if one of them is not settled, at
+        the prices at which its end points were found.
+
+        Args:
+            frontier: the frontier of these points.
+            number: the turning point at or before the budget.
+            weight: weight of the next point in the lottery at the budget.
+            budget: failure budget.
+            attained: objective of that lottery.
+        """
         last, open_below = len(self.columns) - 1, frontier.below > frontier.tolerance
         segments = {number} if weight > 0.0 else {max(number - 1, 0), number}
         proofs = [self._proof_below(frontier, segment) for segment in segments]
@@ -516,7 +530,11 @@ class _ColumnPoints:
         return least_of(max(map(row.lower_bound, proofs)), attained)
 
     def _proof_below(self, frontier: Frontier, segment: int) -> Proof:
-        """Return the proof at a segment's price; beyond the last, a proof for a slack budget."""
+        """Return the dual bound at a segment's price.
+
+        For the number of the last point, where no segment begins, it is the bound for a slack
+        budget.
+        """
         column = self.columns[segment]
         if segment < len(self.columns) - 1:
             return self.proof(float(frontier.price[segment]), column)
@@ -524,7 +542,13 @@ class _ColumnPoints:
         return self.proof(price, column, slack=frontier.ratio)
 
     def proof(self, price: float, column: Column, *, slack: bool = False) -> Proof:
-        """Return the proof at a price; ``column`` is a presumably good policy there."""
+        """Return the dual bound at a price, cached.
+
+        Args:
+            price: price of failure.
+            column: a policy that is optimal, or nearly so, at this price.
+            slack: use the form ``cost - price * goal`` (:class:`Proof`).
+        """
         if (price, slack) not in self.proofs:
             proof = self.pricing.prove(price, column, slack=slack)
             self.proofs[price, slack] = replace(proof, values=np.zeros(0))  # only bounds are used
@@ -533,7 +557,7 @@ class _ColumnPoints:
 
 @dataclass(frozen=True, eq=False)
 class _OptimumPoints:
-    """The turning points as lotteries, and the bounds that the prices of all optima prove."""
+    """The turning points as lotteries, and the lower bounds proved by all optima."""
 
     policies: tuple[MixedPolicy, ...]  # [points]
     sense: ObjectiveSense
@@ -551,12 +575,20 @@ class _OptimumPoints:
     def proved(
         self, frontier: Frontier, number: int, weight: float, budget: float, attained: float
     ) -> float:
-        """Return a certified bound of the objective of all policies within a traced bound."""
+        """Return a certified bound of the objective, given a bound of the traced quantity.
+
+        Args:
+            frontier: the frontier of these points.
+            number: not used.
+            weight: not used.
+            budget: bound of the traced quantity.
+            attained: objective of the lottery at this bound.
+        """
         proved = self.sense.worth(self.least(budget))
         return max(proved, attained) if frontier.maximises else min(proved, attained)
 
     def least(self, bound: float) -> float:
-        """Return a lower bound of the objective within a bound of the traced quantity."""
+        """Return a lower bound of the minimised value, given a bound of the traced quantity."""
         beyond = bound - self.bounds
         tells = (beyond <= 0.0) | np.isfinite(self.prices)
         saved = np.where(np.isfinite(self.prices), self.prices, 0.0) * beyond
@@ -581,19 +613,19 @@ def _rounded_down(height: FloatArray, slope: FloatArray, t: FloatArray | float) 
 
 
 def _split(search: _Columns | _Optima, *, steep_only: bool = False) -> None:
-    """Split segments until no policy lies below any by more than the gap.
+    """Split segments until the gap below each segment is within the tolerance.
 
-    If not all may be split, the segment with the largest gap comes first; otherwise the one found
-    last, whose policies are the best warm starts.
+    If splitting may stop early, the segment with the largest gap is split first. Otherwise the
+    newest segment is split first, because its policies are the best warm starts.
 
     Args:
-        search: finds points below segments and splits them.
-        steep_only: split only the first segment, until it is settled.
+        search: finds points below segments and splits them; updated.
+        steep_only: split only the segment of steepest slope, until it is settled.
     """
     limits, waiting, numbers = search.limits, list[Any](), count()
 
     def look(p: Any, q: Any) -> None:
-        """Add a segment to the queue, unless it is settled."""
+        """Put the segment from p to q on the heap, unless it is settled."""
         below, candidate = search.look(p, q)
         if candidate is not None:
             number = next(numbers)
@@ -616,10 +648,13 @@ def _split(search: _Columns | _Optima, *, steep_only: bool = False) -> None:
 
 
 class _Columns:
-    """Columns of a process, each optimal at the slope of a segment. Mutable."""
+    """Turning points over the failure budget, found by pricing at the slopes of segments. Mutable.
+
+    Each point is a column of the process.
+    """
 
     def __init__(self, compiled: CompiledProblem, limits: _TraceLimits) -> None:
-        """Find the columns at both ends.
+        """Find the two ends of the frontier: the safest column, and the cheapest one.
 
         Raises:
             ModelError: failing is optimal at the steepest price.
@@ -645,16 +680,20 @@ class _Columns:
         self.begin()
 
     def begin(self) -> None:
-        """Reset the points to both ends; the columns found at prices are kept."""
+        """Reset the points to both ends; columns that were found by pricing stay cached."""
         self._columns, self._below = [*self.ends], dict[float, float]()
 
     @property
     def points(self) -> list[Column]:
-        """The points, by increasing failure."""
+        """The turning points found so far, by increasing failure."""
         return sorted(self._columns, key=lambda column: column.failure)
 
     def look(self, p: Column, q: Column) -> tuple[float, Column | None]:
-        """Call pricing at a segment's slope; return the relative gap below it, and the column."""
+        """Solve the pricing problem at the slope of the segment from p to q.
+
+        Returns:
+            The relative gap below the segment, and the column that splits it; None: it is settled.
+        """
         price = max((p.cost - q.cost) / excess_failure(q, p), 0.0)
         below, gap = self._below.get(p.failure, 1.0), self.limits.gap
         column = self._priced.get(price)
@@ -673,7 +712,7 @@ class _Columns:
         return below, column if waits else None
 
     def split(self, p: Column, q: Column, column: Column) -> tuple[Column, ...]:
-        """Add the column below a segment to the points."""
+        """Add the column below the segment from p to q to the points; return all three."""
         light = replace(column, totals=None)
         self._columns.append(light)
         self._priced[column.found_at or 0.0] = light
@@ -696,7 +735,10 @@ class _Columns:
 
 
 def _share_below(p: Column, q: Column, column: Column | None, price: float) -> float:
-    """Return the distance of a column below segment pq, relative to the cost at p, or 0."""
+    """Return the distance of a column below the segment from p to q, relative to the cost of p.
+
+    It is 0 without a column, and for a column whose failure is not between those of p and q.
+    """
     if column is None or not p.failure < column.failure < q.failure:
         return 0.0
     below = p.cost - column.cost - price * (column.failure - p.failure)
@@ -764,7 +806,11 @@ def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """The optimum at a bound: a point, and a line below all policies."""
+    """The optimum at one bound of the traced quantity.
+
+    ``spent`` and ``value`` are a point of the frontier; ``proved`` and ``price`` define a line that
+    no policy lies below.
+    """
 
     spent: float  # of the traced quantity
     value: float
@@ -776,7 +822,10 @@ class _Optimum:
 
 
 class _Optima:
-    """Optima at bounds of one limit, with the others fixed. Mutable."""
+    """Turning points over one limit, found by solving at several bounds of it. Mutable.
+
+    The other limits of the problem stay fixed.
+    """
 
     worst_first = True
 
@@ -813,7 +862,7 @@ class _Optima:
 
     @property
     def points(self) -> list[_Optimum]:
-        """The optima that are not dominated by another one, by increasing ``spent``."""
+        """The optima that no other optimum dominates, by increasing ``spent``."""
         points: list[_Optimum] = []
         for one in sorted(self.optima, key=lambda o: (o.spent, o.value)):
             if not points or one.value < points[-1].value - _STRAIGHT * abs(points[-1].value):
@@ -821,7 +870,10 @@ class _Optima:
         return points
 
     def look(self, p: _Optimum, q: _Optimum) -> tuple[float, float | None]:
-        """Return the relative gap below a segment, and the next bound; None: it is settled."""
+        """Return the relative gap below the segment from p to q, and the bound to solve at next.
+
+        The bound is None if the segment is settled.
+        """
         below, bound = self._apart(p, q)
         own = max((o.value - o.proved) for o in (p, q)) / self._scale(p, q)
         points = self.points
@@ -830,14 +882,18 @@ class _Optima:
         return below, None if settled else bound
 
     def split(self, p: _Optimum, q: _Optimum, bound: float) -> tuple[_Optimum, ...]:
-        """Solve at a bound inside a segment; return its points with both ends, or ()."""
+        """Solve at a bound between p and q.
+
+        Returns:
+            The points from p to q, both included; empty if the new optimum is not between them.
+        """
         self.add(bound)
         if not p.spent < self.optima[-1].spent < q.spent:
             return ()
         return tuple(o for o in self.points if p.spent <= o.spent <= q.spent)
 
     def lines(self, *turning: _Optimum) -> _OptimumPoints:
-        """Return the turning points, and the linear bounds that the prices of all optima prove."""
+        """Return the turning points as lotteries, with the lower bounds proved by all optima."""
         told = [(o.bound, o.value, o.proved, o.price) for o in self.optima]
         bounds, value, proved, prices = np.array(told).T
         policies, goal = tuple(o.policy for o in turning), None
@@ -847,18 +903,18 @@ class _Optima:
         return _OptimumPoints(*told_of, goal, self.over == FAILURE_ROW)
 
     def _scale(self, p: _Optimum, q: _Optimum) -> float:
-        """Return the larger objective of the ends, the unit of relative gaps."""
+        """Return the larger absolute objective of p and q, which relative gaps are divided by."""
         worth = self.stated.sense.worth
         return max(abs(worth(p.value)), abs(worth(q.value)), _LEAST)
 
     def _mixed(self, p: _Optimum, q: _Optimum, bound: float) -> float:
-        """Return the value of two optima's lottery that meets a bound between them."""
+        """Return the value of the lottery over p and q that spends exactly a bound between them."""
         w = (bound - p.spent) / (q.spent - p.spent)
         goals = ((1.0 - w) * p.goal, w * q.goal) if self.stated.ratio else (1.0 - w, w)
         return (goals[0] * p.value + goals[1] * q.value) / sum(goals)
 
     def _apart(self, p: _Optimum, q: _Optimum) -> tuple[float, float]:
-        """Return the largest relative gap below a segment, and the bound at which to split it."""
+        """Return the largest relative gap below the segment from p to q, and where to split it."""
         width, share, lines = q.spent - p.spent, 0.5, self.lines()
         left, right = (o.price / (o.goal if self.stated.ratio else 1.0) for o in (p, q))
         if np.isfinite(left) and left > right:  # the lines of both ends meet
@@ -871,7 +927,7 @@ class _Optima:
         return most / self._scale(p, q), p.spent + split * width
 
     def least(self) -> float:
-        """Return the least value of the traced quantity within the other limits."""
+        """Return the least value of the traced quantity among policies within the other limits."""
         problem, of_failure = self.problem, self.over == FAILURE_ROW
         conditions = {condition.name: condition for condition in problem.conditions}
         objective = conditions.pop(self.over, None)
@@ -885,7 +941,7 @@ class _Optima:
         return 1.0 - least if of_failure else least
 
     def add(self, bound: float) -> None:
-        """Solve the problem at a bound of the traced quantity."""
+        """Solve the problem at a bound of the traced quantity, and add the optimum."""
         stated, over, budget = self.stated, self.over, self.stated.budget
         if over == FAILURE_ROW:
             budget = bound
@@ -913,7 +969,11 @@ class _Optima:
         self.limits.report(self.calls, len(self.optima))
 
     def frontier(self, *, complete: bool) -> Frontier:
-        """Return the frontier through all turning points."""
+        """Return the frontier through all turning points.
+
+        Args:
+            complete: whether the first point is the least feasible bound.
+        """
         points, sense, ratio = self.points, self.stated.sense, self.stated.ratio
         turning = points[:1]
         for one, after in pairwise(points[1:]):

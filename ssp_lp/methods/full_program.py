@@ -63,5 +63,5 @@ def check_agreement(optimum: ProgramOptimum, objective: float) -> None:
     if abs(optimum.objective - objective) > _AGREEMENT * max(abs(objective), 1.0):
         raise SolverError(
             f"the linear program reports {optimum.objective!r} ({optimum.report}), but the "
-            f"policies priced at its dual attain {objective!r}"
+            f"policies priced at its dual attain {objective!r}: use method='columns'"
         )

@@ -1,8 +1,8 @@
-"""The incumbent of a search on accumulated cost: a policy of case M, evaluated by the criterion.
+"""A first incumbent for criteria that need accumulated costs: the best policy of case M.
 
 A policy that satisfies the budget and all limits in case M satisfies them in every criterion on the
-same model. It is found in a few pricing calls on the model, while a search on accumulated costs may
-not find its first policy in minutes.
+same model. Its objective is evaluated by the problem's own criterion. Case M takes a few pricing
+calls, while a search on accumulated costs may not find its first policy in minutes.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 _ROUGH = SolveOptions(1e-3)  # tolerance in case M, whose policy is not optimal anyway
 _NOTHING = 1e-290  # a smaller bound is 0
 _VARIANCE = 1e-6  # rounding error of a standard deviation, relative to the mean
-_MOMENTS = "its objective is a bound by mean and variance, as its law of costs takes longer"
+_MOMENTS = "its objective is a bound by mean and variance: the exact value takes longer"
 _DEAREST = 1.0 - 1e-12  # factor of the least total that covers the rounding of its sums
 
 
@@ -88,9 +88,13 @@ class Incumbent:
         return None
 
     def improving(self, other: Solution) -> Solution:
-        """Return the solution of a stopped search, with the incumbent's policy or bound if better.
+        """Return a stopped search's solution, with the incumbent's policy if that is better.
 
-        The prices and values that prove the search's bound are kept.
+        The bound of the cheapest way to the goal replaces the search's bound if it is better. The
+        prices and the value function of the search are kept.
+
+        Args:
+            other: the solution of the search.
         """
         if not self.stated.counts_totals:
             return other
@@ -109,11 +113,11 @@ class Incumbent:
         return replace(best, lower_bound=min(max(other.lower_bound, bound), best.objective))
 
     def _cheapest_policy(self, problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:
-        """Return a nearly optimal lottery of case M within all limits; None: not computed.
+        """Return a nearly optimal lottery of case M within all limits; None: nothing is limited.
 
         Args:
             problem: the problem.
-            at_least_failure: among the policies of least failure.
+            at_least_failure: whether only policies of least failure are feasible.
         """
         model, budget = problem.model, problem.failure_budget
         start = problem.start_mass
@@ -138,13 +142,13 @@ def _incumbent_value(
     room: float,
     judge: Callable[[MixedPolicy, Problem], Evaluation] = evaluate,
 ) -> Solution | None:
-    """Return the incumbent as a solution; None: it violates a limit or never reaches the goal.
+    """Return a policy of case M as a solution; None: it violates a limit or never reaches the goal.
 
     Args:
         problem: the problem.
         policy: the policy.
-        room: tolerance of the budget for the policy of least failure; others only have rounding.
-        judge: evaluates the policy, exactly or pessimistically.
+        room: amount by which the failure may exceed the budget, in addition to rounding.
+        judge: returns the exact evaluation of the policy, or a pessimistic one.
     """
     evaluation, budget = judge(policy, problem), problem.failure_budget
     failure = evaluation.limited_failure
@@ -156,21 +160,25 @@ def _incumbent_value(
     bound, sense, sign = worth_bound(problem), AS_ASKED, 1.0
     if problem.semantics.maximises:
         sense, sign = ObjectiveSense(0.0), -1.0
-    reason = "the incumbent of case M, which the search had not improved"
+    reason = "a policy of case M, which the search did not improve in time"
     note = CUT_SHORT if judge is evaluate else f"{CUT_SHORT}; {_MOMENTS}"
     answer = Answer(policy, sign * evaluation.objective, sign * bound, failure, note=note)
     return assembled(problem, answer, Run("columns", reason, 0, 0.0), sense)
 
 
 def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
-    """Evaluate a policy pessimistically, by mean and variance of the total cost.
+    """Evaluate a policy pessimistically, by mean and variance of its total cost.
 
-    With mean m and variance s^2 of the total cost C given success, ``E[(C - z)^+]`` is at most
-    ``(sqrt(s^2 + (z - m)^2) - (z - m)) / 2`` (Scarf 1958), and the least of ``z + E[(C - z)^+] / (1
-    - level)`` over z is the tail mean (Rockafellar and Uryasev 2000): no law with these moments has
-    a tail mean, or a quantile, beyond ``m + s sqrt(level / (1 - level))``. For B > m Cantelli's
-    ``Pr(C <= B) >= d^2 / (s^2 + d^2)``, d = B - m, bounds the worth of the goal. This takes three
-    systems of linear equations, for any number of totals.
+    Let the total cost C, given success, have mean m and variance s^2. The objective is replaced by
+    the worst value among all distributions of C with these moments:
+
+    - Tail mean or quantile: ``m + s sqrt(level / (1 - level))``. The tail mean is the least over z
+      of ``z + E[(C - z)^+] / (1 - level)`` (Rockafellar and Uryasev 2000), and ``E[(C - z)^+]`` is
+      at most ``(sqrt(s^2 + (z - m)^2) - (z - m)) / 2`` (Scarf 1958).
+    - Expected charge: Scarf's bound, or for B > m Cantelli's ``Pr(C <= B) >= d^2 / (s^2 + d^2)``
+      with d = B - m.
+
+    This takes three systems of linear equations, however many values the total cost has.
 
     Args:
         policy: a lottery on the problem's model.
@@ -208,7 +216,7 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
 
 
 def prove_by_cheapest_way(problem: Problem, evaluation: Evaluation) -> Proved:
-    """Return the proof by ``worth_bound``, which needs no search."""
+    """Return the bound of the optimum by the cheapest way to the goal; it needs no search."""
     return Proved(evaluation.objective, worth_bound(problem), problem.failure_budget or 0.0)
 
 
@@ -218,12 +226,12 @@ def broken_limit(
     room: float = 2.0 * ATTAINABLE,
     granted: Mapping[str, float] | None = None,
 ) -> str:
-    """Return a message about a limit that a policy violates; empty: it violates none.
+    """Return a message about the first limit that a policy violates, or an empty string.
 
     Args:
         problem: the problem.
         evaluation: evaluation of the policy.
-        room: tolerance, relative to the bound.
+        room: tolerance, relative to the magnitude of the limit.
         granted: bounds, by name, that replace the stated ones.
     """
     granted = granted or {}
@@ -242,10 +250,11 @@ def broken_limit(
 
 
 def worth_bound(problem: Problem) -> float:
-    """Return a bound of the optimum: no run to the goal costs less than the cheapest way there.
+    """Return a bound of the optimum from the cost of the cheapest way to the goal.
 
-    It is a lower bound of costs given success, of their quantiles and tail means, and an upper
-    bound of the worth of the goal, because charges do not fall when the total grows.
+    No run to the goal costs less, and charges do not fall when the total grows. So this is a lower
+    bound of a cost given success, its quantile or its tail mean. If the objective is maximised, it
+    is an upper bound.
 
     Args:
         problem: a problem with a cost given success, or a measure of its law.

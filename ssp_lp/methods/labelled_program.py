@@ -31,13 +31,13 @@ def program_of(
 ) -> OccupationProgram:
     """Return the labelled program of a problem: a linear program over expected visits.
 
-    With least failure (``failure_budget=None``) it is the program of the second stage: over the
-    actions that attain the greatest goal probability, without a failure row (mathematics, section
-    4). In case S the layers of accumulated cost end where column generation proves the optimum,
-    or at the problem's ``cost_cap``. One last layer stands for all larger costs, and an arrival
-    from it is charged as if its cost had just been reached. The program is therefore a lower bound
-    of the problem with any further rows and bounds. ``OccupationMeasure.beyond`` is the probability
-    of such arrivals.
+    With least failure (``failure_budget=None``) it is the program of the second stage: it contains
+    only the actions that attain the greatest goal probability, and has no failure row (mathematics,
+    section 4). In case S there is a layer for each accumulated cost up to a cap: the problem's
+    ``cost_cap``, or the cap at which column generation proves the optimum. One last layer stands
+    for all larger costs, and an arrival from this layer is charged only the cap. The program's
+    optimum is therefore a lower bound of the problem's, also with further rows or other bounds.
+    ``OccupationMeasure.beyond`` is the probability of arrivals from the last layer.
 
     Args:
         problem: a formulation.
@@ -113,9 +113,10 @@ def program_of(
 
 
 def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
-    """Return case S with least failure: a step costs its cost times the goal probability after it.
+    """Return the augmented model of case S with least failure, without accumulated cost.
 
-    All its policies have the greatest goal probability, so no accumulated cost is needed.
+    All its policies have the greatest goal probability. The cost of each outcome is multiplied by
+    the greatest goal probability from its successor, so the total is E[cost; goal].
     """
     facts, semantics = compiled.facts, compiled.semantics
     model, start, greatest = facts.model, facts.start, facts.greatest_from_start

@@ -1,8 +1,8 @@
 """Refinement: solve on finer and finer processes until the gap meets the tolerance.
 
-A process that truncates, rounds or compares too coarsely leaves a gap. Each method yields attempts
-on finer and finer processes (column generation by :func:`finer_optima`), and :func:`refine` decides
-when to stop.
+A process that truncates or rounds the accumulated cost leaves a gap between the bound and the value
+of the best policy. Each method yields an optimum for each of several finer and finer processes
+(column generation by :func:`finer_optima`), and :func:`refine` decides when to stop.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ssp_lp.solution import Answer
 
 @dataclass(frozen=True)
 class Proved:
-    """A proved bound of all policies within the allowed failure, and the value of one policy."""
+    """A bound of the objective of all feasible policies, and the objective that one attains."""
 
     attained: float
     bound: float
@@ -57,8 +57,8 @@ def proved_objective(
         sense: relation between minimised value and stated objective.
         objective: stated objective of a policy.
         bound: lower bound of the minimised value.
-        allowed: largest failure of the policies that the bound is about.
-        paid: sum of price times bound of the rows, which a dual bound subtracts.
+        allowed: the bound holds for policies that fail with at most this probability.
+        paid: sum over the rows of price times bound, whose rounding affects a dual bound.
         tail: part of the relative gap that is due to the cap on accumulated cost.
     """
     constant = sense.constant
@@ -92,28 +92,28 @@ class Optimum(Answer, Generic[_Compiled]):
 
     @property
     def kappa(self) -> float:
-        """Price of failure: the dual of the failure row, in case S plus the ratio."""
+        """Price of failure: the dual of the failure row; in case S plus the optimal ratio."""
         return (self.value if self.compiled.ratio else 0.0) + (self.price or 0.0)
 
     @property
     def gap(self) -> float:
-        """Relative gap of the objective that the user asked for; infinite if none is attained."""
+        """Relative gap of the stated objective; infinite if no feasible policy was found."""
         worth = self.sense.worth
         is_attained = np.isfinite(self.value)
         return two_sided_gap(worth(self.value), worth(self.bound)) if is_attained else np.inf
 
     def guess(self, spread: float | None = None) -> DualGuess:
-        """Return the price of failure, a first guess for a similar problem.
+        """Return the price of failure, as a first price for a similar problem.
 
         Args:
-            spread: relative uncertainty; None: the uncertainty on the next finer process.
+            spread: relative uncertainty of the price there; None: as on the next finer process.
         """
         if spread is None:
             spread = TRIAL_TOLERANCE if self.compiled.is_trial else SPREAD
         return DualGuess(self.kappa, spread, slack=len(self.generated.columns) == 1)
 
     def followed_by(self, other: Optimum[_Compiled]) -> Optimum[_Compiled]:
-        """Return the later optimum, with the work of both."""
+        """Return another, later optimum, with the work of both searches."""
         return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
 
 
@@ -123,15 +123,17 @@ def finer_optima(
     options: SolveOptions,
     patience: int,
 ) -> Iterator[Optimum[_Compiled]]:
-    """Yield an optimum, then the optima of finer and finer problems, with the work of all.
+    """Yield an optimum, then the optima of finer and finer problems, each with the work so far.
+
+    The sequence ends if the problem cannot be refined, or if refining does not help any more.
 
     Args:
-        optimum: of the first problem. Without a value function its bound is not proved, and only
-            its price is used.
-        attempt: solves a finer problem, given the optimum of the problem before.
+        optimum: optimum of the first problem. Without a value function it has no proved bound: then
+            it is not yielded, and only its price is used.
+        attempt: solves a finer problem, given the options and the optimum of the last problem.
         options: progress callback and limits.
-        patience: number of refinements in which the gap must at least halve, unless truncation is
-            still a part of the gap.
+        patience: refining stops if this number of refinements did not halve the gap and the cap on
+            accumulated cost causes no part of it.
     """
     gaps = list[float]()
     while True:
@@ -154,7 +156,7 @@ def finer_optima(
 
 
 class _WithGap(Protocol):
-    """An answer or a proof from one process."""
+    """An optimum or a proved bound from one process, with its gap."""
 
     @property
     def gap(self) -> float:
@@ -166,13 +168,14 @@ _Attempt = TypeVar("_Attempt", bound=_WithGap)
 
 
 def refine(attempts: Iterable[_Attempt], tolerance: float) -> _Attempt:
-    """Return the attempt of least gap, from attempts on finer and finer processes.
+    """Return the result of least gap, from results on finer and finer processes.
 
-    It stops when the gap meets the tolerance, the attempts end, or the time limit is reached.
+    It takes further results until the gap is within the tolerance, the results end, or the time
+    limit is reached.
 
     Args:
-        attempts: each from a finer process; they end if refining would not help, or with a
-            ModelError if a table would be too large.
+        attempts: results, each from a finer process than the one before. A ModelError, of a table
+            that would be too large, ends them.
         tolerance: relative gap.
 
     Raises:

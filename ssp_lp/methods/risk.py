@@ -1,20 +1,21 @@
 """Least quantile and least conditional value at risk of the total cost given success.
 
-Both are searches over thresholds; each trial minimises E[charge(total cost) | goal].
+Both are searches over thresholds. At each threshold a trial minimises E[charge(C) | goal], where C
+is the total cost and the charge depends on the threshold.
 
-**The quantile**, by Newton's method on its bound. With a charge of 1 for every arrival beyond B the
-least E[charge | goal] is the least Pr(C > B | goal), which falls as B grows. The answer is the
-least B at which it is at most 1 - level, with the policy of least Pr(C > B | goal). Prices of
-failure and of the other rows give a lower bound of that share for every B (by one sweep, if only
-failure is limited). They refute each B whose lower bound is above 1 - level. At the optimal prices
-the greatest refuted B is the neighbour of the answer. The search alternates between the optimal
-prices at a B and the first B that these do not refute.
+**The quantile** is found by Newton's method over a bound B. With a charge of 1 if C > B, a trial
+finds the least Pr(C > B | goal), which falls as B grows. The answer is the least B at which it is
+at most 1 - level, with the policy of that trial. Prices of failure and of the other rows give a
+lower bound of Pr(C > B | goal) for every B (by one sweep, if only failure is limited). They refute
+each B whose lower bound is above 1 - level. The optimal prices at the largest infeasible B refute
+it, and the next B is the answer. The search alternates between the optimal prices at a B and the
+first B that they do not refute.
 
-**The conditional value at risk.** For any policy it is the least over z of z + E[(C - z)^+ | goal]
-/ share, share = 1 - level (Rockafellar and Uryasev 2000). The least is attained at the quantile,
-which is a total that can occur. The optimum is therefore the least over such z of F(z), the least
-E[charge | goal] with that integrand as the charge. The search alternates between the best policy at
-z and that policy's own quantile.
+**The conditional value at risk** of a policy is the least over z of z + E[(C - z)^+ | goal] / share
+with share = 1 - level (Rockafellar and Uryasev 2000). The least is attained where z is the policy's
+quantile, which is a total that can occur. Let F(z) be the least E[charge | goal] over all policies,
+for the charge z + (C - z)^+ / share. The optimum is the least F(z) over all such totals z. The
+search alternates between the best policy at z and that policy's own quantile.
 
 F is a minimum of convex functions and need not be convex itself, so that values on both sides of a
 z prove nothing at z. Bounds are proved for whole intervals: for a <= z <= b and every c
@@ -84,8 +85,8 @@ def least_risk(
     Args:
         problem: the problem; it has the measure and its level.
         options: method, tolerance and limits.
-        question: the admissible policies; None: the problem's policies.
-        near: where the search may begin, or None.
+        question: the feasible policies, if already compiled; None: those of the problem.
+        near: a first threshold and a price of failure there, or None.
 
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
@@ -101,7 +102,7 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove a lower bound of the least risk, from the model alone.
 
     Args:
-        solution: of the problem.
+        solution: the solution to certify.
         evaluation: evaluation of its policy. The bound of a quantile is at most the policy's own
             value.
     """
@@ -121,19 +122,22 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
 
 
 def _risk_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
-    """Return the measure of a problem of risk (``problem.semantics.risk``)."""
+    """Return the risk measure of a problem that has one."""
     return cast("CostQuantileOf | TailMeanOf", problem.semantics.risk)
 
 
 @dataclass(frozen=True)
 class _Multiples:
-    """Multiples of a unit: of the unit of all costs or, if not ``sharp``, of a grid."""
+    """Thresholds that are multiples of a unit.
+
+    The unit divides all costs or, if not ``sharp``, is the mesh of a grid.
+    """
 
     unit: Fraction
     sharp: bool = True  # whether no total can lie between two of them
 
     def total(self, number: int) -> float:
-        """Return the total of a number, as the nearest float."""
+        """Return the multiple of a given number, as the nearest float."""
         return float(number * self.unit)
 
     def number(self, total: float) -> int:
@@ -142,7 +146,9 @@ class _Multiples:
 
 
 class _Sums:
-    """Sums of step costs whose last step leads to the goal. Mutable: computed as needed.
+    """Thresholds that are the possible total costs: sums of step costs, the last onto the goal.
+
+    Mutable: sums are computed as needed.
 
     Raises:
         ModelError: too many sums are needed.
@@ -156,7 +162,7 @@ class _Sums:
         self._grow(4.0 * float(max(self._steps[-1], self._last[-1])) or 1.0)
 
     def total(self, number: int) -> float:
-        """Return the total with a given index, or the greatest total if there are fewer."""
+        """Return the total of a given number, or the greatest total if there are fewer."""
         size = 0
         while size < len(self._totals) <= number:
             size = len(self._totals)
@@ -164,16 +170,16 @@ class _Sums:
         return float(self._totals[min(number, len(self._totals) - 1)])
 
     def number(self, total: float) -> int:
-        """Return the index of the nearest total."""
+        """Return the number of the total nearest to a cost."""
         while self._cap <= total * (1.0 + 1e-9):
             self._grow(2.0 * self._cap)
         return int(np.abs(self._totals - total).argmin())
 
     def _grow(self, cap: float) -> None:
-        """Compute all sums below a cap that a threshold may take."""
+        """Compute all possible totals below a cap; raise ModelError if there are too many."""
         sums = sums_in(self._model, cap, MOST_SUMS)
         if sums is None:
-            raise ModelError(f"over {MOST_SUMS:,} distinct total costs below {cap:g}: round costs")
+            raise ModelError(f"over {MOST_SUMS:,} distinct totals below {cap:g}: round the costs")
         every = np.unique((sums[:, None] + self._last).ravel())
         every = every[every < cap]
         room = room_of(np.union1d(self._steps, self._last), cap)
@@ -193,7 +199,7 @@ _ROUNDING = 1e-14
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """The least E[charge | goal], with its lower bound."""
+    """The policy of least E[charge | goal], with its value and a lower bound."""
 
     value: float
     lower_bound: float
@@ -211,7 +217,7 @@ _Charge = LateCharge | ExcessCharge
 
 
 class _Guess(NamedTuple):
-    """A guess of the prices of failure and of the further rows."""
+    """Prices at which a lower bound is proved: of failure and of the further rows."""
 
     kappa: float  # price of failure
     rows: Mapping[str, float]  # prices of further rows, by name
@@ -222,7 +228,10 @@ class _Guess(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Question(ABC):
-    """The admissible policies, and how to minimise a charge over them."""
+    """The feasible policies of a problem, with the operations that a search over thresholds needs.
+
+    They minimise E[charge | goal] for a charge of the total cost, and bound it at given prices.
+    """
 
     budget: float | None  # failure budget; None: policies of least failure
     allowed: float  # largest failure: the budget, or the least failure
@@ -232,36 +241,38 @@ class _Question(ABC):
 
     @abstractmethod
     def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
-        """Minimise E[charge | goal].
+        """Minimise E[charge | goal] over the feasible policies.
 
         Args:
-            charge: of the total cost.
+            charge: function of the total cost.
             options: method, tolerance and limits.
             kappa: a guess of the price of failure, to choose the cap; 0: unknown.
         """
 
     @abstractmethod
     def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
-        """Return a lower bound of E[charge | goal] at a guess of the prices."""
+        """Return a lower bound of E[charge | goal] for all feasible policies, at given prices."""
 
     def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
-        """Return a function from the number of a bound B to a lower bound of Pr(C > B | goal).
+        """Return a function from the number of a threshold B to a lower bound of Pr(C > B | goal).
+
+        C is the total cost; the bound holds for all feasible policies.
 
         Args:
-            number: number of the greatest bound.
-            guess: a guess of the prices.
+            number: number of the greatest threshold that the function is called with.
+            guess: the prices at which the lower bounds are proved.
         """
         return lambda k: self.refuted_below(LateCharge(self.thresholds.total(k)), guess)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _WithinBudget(_Question):
-    """Policies with failure as the only limit; for least failure its price has no effect."""
+    """The feasible policies if failure is the only limit."""
 
     compiled: CompiledLayered
 
     def attempt(self, charge: _Charge, options: SolveOptions, kappa: float = 0.0) -> _Trial:
-        """Minimise E[charge | goal] on layers of accumulated cost."""
+        """Minimise E[charge | goal] by column generation on layers of accumulated cost."""
         compiled = self._charging(charge, kappa)
         if self.budget is None:
             pricing = compiled.pricing()
@@ -274,14 +285,14 @@ class _WithinBudget(_Question):
         return _Trial(best.value, best.bound, best.policy, best.kappa, best.calls)
 
     def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
-        """Return the lower bound of one sweep."""
+        """Return the lower bound of E[charge | goal] by one backward sweep at given prices."""
         return self.share(self._proof(charge, guess))
 
     def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
-        """Return the lower bounds of all shares by one sweep, if layers are multiples of a unit.
+        """Return a function from a threshold's number to a lower bound of Pr(C > B | goal).
 
-        The optimal policy depends only on the rest of the bound: a run with the smaller of two
-        bounds equals a run with the larger one that begins in the layer of their difference.
+        If layers are multiples of a unit, one backward sweep gives all bounds: a run with a smaller
+        threshold equals a run with the greatest one that begins in the layer of their difference.
         """
         if self.compiled.layer.by_sums:
             return super().late_shares(number, guess)
@@ -291,12 +302,17 @@ class _WithinBudget(_Question):
         return lambda k: self.share(replace(proof, bound=by_layer[min(number - k, last)]))
 
     def _proof(self, charge: _Charge, guess: _Guess) -> Proof:
-        """Return the dual bound of a charge at a guess of the price."""
+        """Return the dual bound for a charge at the given price of failure."""
         kappa, slack = (0.0, False) if self.budget is None else (guess.kappa, guess.slack)
         return self._charging(charge, kappa).pricing().prove(kappa, slack=slack)
 
     def _charging(self, charge: _Charge, kappa: float) -> CompiledLayered:
-        """Return the problem with a charge and the cap that a price of failure requires."""
+        """Return the compiled problem with a charge, and a cap large enough for a price of failure.
+
+        Args:
+            charge: function of the total cost.
+            kappa: price of failure; 0: unknown.
+        """
         compiled = self.compiled.charging(charge)
         if kappa <= 0.0 or self.budget is None:
             return compiled
@@ -312,7 +328,7 @@ class _WithinBudget(_Question):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _WithinRows(_Question):
-    """Policies with limits on failure and other quantities."""
+    """The feasible policies if failure and other quantities are limited."""
 
     problem: Problem
     compiled: CompiledExplicit
@@ -321,7 +337,7 @@ class _WithinRows(_Question):
         """Minimise E[charge | goal] by column generation with all rows."""
 
         def value(policy: MixedPolicy) -> float:
-            """Return E[charge | goal] of a lottery, by the law of its total cost."""
+            """Return E[charge | goal] of a lottery, by the distribution of its total cost."""
             law = success_costs(policy, self.problem)
             return _expected_charge(charge, law) / law.goal
 
@@ -330,7 +346,7 @@ class _WithinRows(_Question):
         return _Trial(best.value, best.bound, best.policy, best.kappa, best.calls, best.prices)
 
     def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
-        """Return the lower bound at the prices of another charge's optimum."""
+        """Return a lower bound of E[charge | goal] at the optimal prices of another charge."""
         ratio = guess.kappa - guess.rows.get(FAILURE_ROW, 0.0)
         return bound_at(self.compiled.charging(charge), guess.rows, ratio, self._least_goal)
 
@@ -341,14 +357,14 @@ class _WithinRows(_Question):
 
 
 def _expected_charge(charge: _Charge, law: CostLaw) -> float:
-    """Return E[charge; goal]."""
+    """Return E[charge; goal] for the distribution of a policy's total cost."""
     if isinstance(charge, LateCharge):
         return law.goal - law.within(charge.bound)
     return charge.threshold * law.goal + law.excess(charge.threshold) / charge.share
 
 
 def question_of(problem: Problem) -> _Question:
-    """Return the admissible policies of a problem, with the budget checked.
+    """Return the feasible policies of a problem, after a check of its budget.
 
     A budget above the least failure by no more than rounding counts as equal to it.
 
@@ -381,7 +397,7 @@ def question_of(problem: Problem) -> _Question:
 
 
 def question_of_compiled(compiled: CompiledLayered, budget: float | None) -> _WithinBudget:
-    """Return the admissible policies of a compiled problem, with the budget checked.
+    """Return the feasible policies of a compiled problem, after a check of its budget.
 
     Args:
         compiled: the compiled problem.
@@ -423,9 +439,9 @@ def least_quantile(
 
     Args:
         problem: the problem.
-        question: the admissible policies.
+        question: the feasible policies.
         options: method, tolerance and limits.
-        near: a guess of the quantile, or None.
+        near: a guess of the quantile and of the price of failure there, or None.
 
     Raises:
         ModelError: the quantile lies beyond the largest possible cap.
@@ -475,14 +491,16 @@ def least_quantile(
 
 
 def _last_refuted(question: _Question, trial: _Trial, level: float, first: int, last: int) -> int:
-    """Return the number of the greatest threshold that a trial's prices prove infeasible.
+    """Return the number of the greatest threshold that a trial's prices refute.
+
+    A threshold B is refuted if Pr(C > B | goal) > 1 - level for all feasible policies.
 
     Args:
-        question: the admissible policies.
-        trial: trial at some bound.
-        level: in (0, 1).
-        first: an infeasible number.
-        last: a number above all that are tried.
+        question: the feasible policies.
+        trial: has the prices; its own threshold may be any.
+        level: level of the quantile, in (0, 1).
+        first: number of a refuted threshold.
+        last: only smaller numbers are considered.
     """
     share = _late_share(level)
     slack = trial.kappa <= trial.value * (1.0 + _ABOVE)  # of the budget
@@ -501,10 +519,9 @@ def _beyond_refuted(question: _Question, refuted: int) -> float:
 
 
 def _late_share(level: float) -> float:
-    """Return the share of the successes that may lie beyond the quantile, with its tolerance.
+    """Return the greatest Pr(C > B | goal) at which B is a quantile: 1 - level, plus a tolerance.
 
-    The share is below 1 at every level, by more than rounding: some success lies within the
-    quantile.
+    It is below 1 at every level, by more than rounding, so some success costs at most B.
     """
     return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
 
@@ -528,7 +545,7 @@ class _TailMeanSearch:
     sweeps: int = 0
 
     def attempt(self, threshold: int, options: SolveOptions | None = None) -> Answer:
-        """Minimise the risk at a threshold; return the better of incumbent and new policy."""
+        """Minimise the charge of a threshold; return the better of the policy and the incumbent."""
         charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
         kappa = self._kappa(threshold)
         trial = self.question.attempt(charge, options or self.options, kappa)
@@ -547,7 +564,10 @@ class _TailMeanSearch:
         return best
 
     def refuted(self, first: int, last: int) -> float:
-        """Return a lower bound of F on all thresholds between two, by one sweep."""
+        """Return a lower bound of F (see the module) on all thresholds from first to last.
+
+        It is proved at one price of failure, interpolated between the known ones.
+        """
         places, middle = self.question.thresholds, (first + last) // 2
         charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
         nearest = min(self.tried, key=lambda number: abs(number - middle))
@@ -559,7 +579,7 @@ class _TailMeanSearch:
 
     @property
     def target(self) -> float:
-        """Value that the bounds must reach: the incumbent's, less the tolerance."""
+        """Value that the bounds must reach: the incumbent's value less the tolerance."""
         return 0.0 if self.best is None else self.best.value * (1.0 - self.options.tolerance)
 
     def _kappa(self, threshold: int) -> float:
@@ -572,7 +592,7 @@ class _TailMeanSearch:
         """Run the search; return the best policy and a lower bound for every policy.
 
         Args:
-            near: a guess of the best threshold, or None.
+            near: a guess of the best threshold and of the price of failure there, or None.
         """
         places, options = self.question.thresholds, self.options
         rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
@@ -608,7 +628,10 @@ class _TailMeanSearch:
         return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
 
     def _split(self, weakest: list[tuple[float, int, int]], bounds: list[float]) -> None:
-        """Refute or halve the interval of least bound; at a single threshold, minimise.
+        """Raise the bound of the interval of thresholds whose bound is least, or halve it.
+
+        The bound is raised by :meth:`refuted`. If it does not reach the target, the interval is
+        halved; an interval of one threshold is solved by a trial.
 
         Args:
             weakest: heap of bound, first and last threshold of each interval; updated.
@@ -641,9 +664,9 @@ def least_tail_mean(
 
     Args:
         problem: the problem.
-        question: the admissible policies.
+        question: the feasible policies.
         options: method, tolerance and limits.
-        near: a guess of the best threshold, or None.
+        near: a guess of the best threshold and of the price of failure there, or None.
     """
     search = _TailMeanSearch(problem, question, _risk_of(problem).level, options)
     best, bound = search.run(near)

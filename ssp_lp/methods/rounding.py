@@ -1,28 +1,29 @@
 """Split and rounded costs: multiples of a unit, for models with too many distinct total costs.
 
-**Split costs, case S.** The optimum of the model with split costs is a lower bound of the true
-optimum. Its policies remember the nearest multiple of the cost paid. They are evaluated exactly on
-the true model, and the lottery is chosen by these numbers: an upper bound. Both bounds differ from
-the optimum by about the square of the unit if the value is smooth in the cost paid, else by a share
-of the unit.
+**Split costs, case S.** The optimum of the model with split costs is a lower bound of the optimum
+of the true model, the stated one. Its policies remember the cost paid, rounded to the nearest
+multiple of the unit. They are evaluated exactly on the true model, and the best lottery of them is
+an upper bound. Both bounds differ from the optimum by about the square of the unit if the value is
+smooth in the cost paid, else by a share of the unit.
 
 Each outcome of cost c that does not end the episode is split into two, whose costs are the
 multiples of the unit next to c, with probabilities that preserve the mean. At a price of failure
-the value as a function of the cost paid is a minimum of affine functions, hence concave, so that no
-policy of the true model is better than the best one of this model (mathematics, section 8). Its
-totals are layers of a lattice.
+the value as a function of the cost paid is a minimum of affine functions, hence concave. So no
+policy of the true model is better than the best one of the model with split costs (mathematics,
+section 8). All totals of the latter are multiples of the unit.
 
-A lattice of many totals is first solved with a coarser unit, usually the unit of most costs. If the
-few costs that are split hardly matter, both bounds meet at once. Otherwise the search on all totals
-follows and starts at the price found.
+If the exact totals are multiples of a unit, but very many, the problem is first solved with costs
+split on a coarser unit, usually one that divides most of the costs. If the few costs that are split
+hardly matter, both bounds already agree. Otherwise a search on all exact totals follows, which
+starts at the price of failure found.
 
-**Rounded costs, criteria of the law of the total cost.** With every cost rounded down to a multiple
-of a unit, a model has a lattice of totals. Since charges do not fall when the total grows, its
-optimum is a lower bound for every policy of the true model. With every cost rounded up, the best
-policy, which remembers the rounded total, is also a policy of the true model, with the same goal
-probability and at most the rounded costs. The two optima enclose the true one for every unit, and
-converge as the unit gets smaller (mathematics, section 8). Coarse units are solved in a moment;
-finer ones follow as time allows.
+**Rounded costs, criteria of the distribution of the total cost.** If every cost is rounded down to
+a multiple of a unit, all totals are multiples, too. Since charges do not fall when the total grows,
+the optimum is a lower bound for every policy of the true model. If every cost is rounded up, the
+best policy remembers the rounded total. It is also a policy of the true model, where it has the
+same goal probability and at most the rounded costs. The two optima enclose the true one for every
+unit, and converge as the unit gets smaller (mathematics, section 8). Coarse units are solved in a
+moment; finer ones follow as time allows.
 """
 
 from __future__ import annotations
@@ -83,10 +84,10 @@ _ROUNDING = 1e-12  # feasibility tolerance, relative to the smaller of budget an
 
 
 def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve models with split costs, in finer and finer units; return the best lottery and bound.
+    """Solve case S with costs split on finer and finer units.
 
     Args:
-        problem: of case S, with a limit on failure alone.
+        problem: a problem of case S, with a limit on failure alone.
         options: tolerance and limits.
 
     Raises:
@@ -100,7 +101,7 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
-    """Yield the best lottery of the true model and the best bound after each unit."""
+    """Yield, after each unit, the best lottery on the true model so far, and the best bound."""
     incumbent, best, outcome, bound = Incumbent(problem), None, None, 0.0
     ensure_incumbent(by_itself=incumbent.find() is not None)
     if (solution := incumbent.solution) is not None:
@@ -134,7 +135,7 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
                 raise measuring.stop
         if best is None:
             continue
-        more = "set more levels for a smaller gap" if most else "no room for more levels"
+        more = "raise cost_levels for a smaller gap" if most else "more would be too many"
         note = f"totals are rounded to {outcome.compiled.layers:,} levels up to {total:.6g}: {more}"
         gap = relative_gap(best.value, bound)
         if units and most is None and gap > options.tolerance and not for_price:
@@ -147,7 +148,7 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solutio
 
 
 def _split_run(options: SolveOptions, outcome: Optimum[Any]) -> Run:
-    """Describe the run of a search on split costs."""
+    """Return the record of a search on split costs: method, reason, calls and work."""
     reason = (
         f"costs split between {outcome.compiled.layers:,} layers, {outcome.calls} pricing calls"
     )
@@ -157,14 +158,14 @@ def _split_run(options: SolveOptions, outcome: Optimum[Any]) -> Run:
 def _split_solution(
     problem: Problem, options: SolveOptions, outcome: Optimum[Any], lottery: Answer, note: str
 ) -> Solution:
-    """Return the solution of a lottery on the true model, with the bound of split costs.
+    """Return a lottery on the true model as a solution, with the lower bound of split costs.
 
     Args:
         problem: the problem.
         options: method.
-        outcome: of the search on split costs.
+        outcome: optimum of the model with split costs.
         lottery: the lottery, evaluated on the true model.
-        note: note on a search that was not cut short.
+        note: the solution's note, unless the search was cut short.
     """
     price = max(outcome.kappa - lottery.value, 0.0)
     note = note if outcome.generated.finished else CUT_SHORT
@@ -173,10 +174,10 @@ def _split_solution(
 
 
 def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
-    """Solve on a lattice of many totals, after a coarser unit has given the price.
+    """Solve case S with very many totals: first on a coarser unit, then from the price found there.
 
     Args:
-        problem: of case S, with a limit on failure alone.
+        problem: a problem of case S, with a limit on failure alone.
         options: tolerance and limits.
 
     Raises:
@@ -192,9 +193,14 @@ def solve_on_fine_lattice(problem: Problem, options: SolveOptions) -> Solution:
 def _lattice_attempts(
     problem: Problem, options: SolveOptions, unit: Fraction, is_of_most: bool
 ) -> Iterator[Solution]:
-    """Yield the best lottery of costs split on a coarser unit, then the optimum.
+    """Yield the best lottery with costs split on a coarser unit, then the optimum on all totals.
 
-    The lottery of another unit than that of most costs is evaluated only if the time ends.
+    Args:
+        problem: a problem of case S.
+        options: tolerance and limits.
+        unit: the coarser unit.
+        is_of_most: whether the unit divides most costs. If it does not, the coarse search only
+            gives a price, and its lottery is evaluated only if the time ends in the second search.
     """
     rough = options if is_of_most else replace(options, tolerance=_ROUGH_FIRST)
     outcome, optimum = split_optimum(problem, unit, rough, None), None
@@ -217,12 +223,12 @@ def _lattice_attempts(
 def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove a bound by split or rounded costs, from the model alone.
 
-    Units get smaller until the gap is as small as the solution states (this number is used for
-    nothing else) or as the tolerance. With split costs they also end when a smaller unit adds
-    almost nothing to the bound.
+    Units get smaller until the gap is within the tolerance, or as small as the solution's own gap.
+    That gap serves as a stopping rule alone. With split costs the proof also stops when a smaller
+    unit hardly improves the bound.
 
     Args:
-        solution: of a problem with split or rounded costs.
+        solution: a solution of a problem with split or rounded costs.
         evaluation: evaluation of its policy.
     """
     problem, attained = solution.problem, evaluation.objective
@@ -236,7 +242,14 @@ def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Prov
 def _split_proofs(
     problem: Problem, attained: float, enough: float, rough: SolveOptions
 ) -> Iterator[Proved]:
-    """Yield the best bound of finer and finer split costs, until it hardly rises."""
+    """Yield the best bound by costs split on finer and finer units, until it hardly rises.
+
+    Args:
+        problem: a problem of case S.
+        attained: objective of the policy.
+        enough: relative gap at which no further bound is needed.
+        rough: tolerance of each solve.
+    """
     guess, bound, allowed, before = None, 0.0, problem.failure_budget or 0.0, -np.inf
     for unit in _split_units(problem, finest=True):
         outcome = split_optimum(problem, unit, rough, guess)
@@ -249,7 +262,7 @@ def _split_proofs(
 
 
 def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
-    """Return the best lottery of one unit's policies, evaluated on the true model."""
+    """Return the best lottery on the true model of the policies found with one unit."""
     row, least, columns, found = outcome.row, outcome.least, list[Column](), None
     pricing = outcome.compiled.pricing()
     pricing = pricing.counting_success() if row.by_goal else pricing
@@ -263,15 +276,15 @@ def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
         rows = Rows.of_failure(row.raised_to(safest), pricing)
         found = lottery_within(pricing, [*columns, safest], rows, ratio=True)
     if found is None:
-        raise SolverError("the policy of least failure never reaches the goal on the true model")
+        raise SolverError("the safest policy reaches the goal too rarely to compute its cost")
     return Answer(found.lottery(pricing), found.objective, 0.0, found.failure)
 
 
 def _true_columns(problem: Problem, outcome: Optimum[Any]) -> list[Column]:
-    """Evaluate, on the true model, the policies that were found with split costs.
+    """Evaluate on the true model the policies that were found with split costs.
 
-    The returned columns lie on both sides of the budget. A policy that satisfies the budget with
-    split costs may violate it on the true model, and vice versa. Then nearby prices are tried.
+    A policy that satisfies the budget with split costs may violate it on the true model, and vice
+    versa. If all policies lie on one side of the budget, others are found at nearby prices.
 
     Raises:
         Stop: the time limit was reached before a policy within the budget was evaluated.
@@ -298,9 +311,10 @@ def _true_columns(problem: Problem, outcome: Optimum[Any]) -> list[Column]:
 
 
 def _true_column(problem: Problem, outcome: Optimum[Any], policy: Policy) -> Column:
-    """Evaluate a policy of split costs on the true model, where it remembers the nearest level.
+    """Evaluate on the true model a policy that was found with split costs.
 
-    If a step is less than a unit, levels are fractions of a unit: otherwise it would round to 0.
+    There the policy remembers the cost paid rounded to the nearest level. Levels are multiples of
+    the unit, or of a fraction of it if the cheapest step would otherwise round to 0.
     """
     if isinstance(policy, CostAwarePolicy):
         unit, most = _unit_of(outcome), problem.cost_levels
@@ -331,14 +345,16 @@ def _true_column(problem: Problem, outcome: Optimum[Any], policy: Policy) -> Col
 
 
 def _columns_beside(problem: Problem, outcome: Optimum[Any], shift: float) -> list[Column]:
-    """Return policies that the sweep of split costs found next to the budget, on both sides.
+    """Return columns on both sides of the budget, evaluated on the true model.
 
-    They are evaluated on the true model. Rounding shifts their failure by about the same amount.
+    The sweep of the first column also found policies of other failure probabilities. Rounding
+    changes the failure of all of them by about the same amount. So the policies are taken whose
+    failure, after this change, should be just below and just above the budget.
 
     Args:
-        problem: of case S.
-        outcome: of the search on split costs.
-        shift: change of their failure by rounding.
+        problem: a problem of case S.
+        outcome: optimum of the model with split costs.
+        shift: failure of the first column on the true model, minus that with split costs.
     """
     pricing, row, first = outcome.compiled.pricing(), outcome.row, outcome.generated.columns[0]
     tried = {pricing.policy(first).memory_size}  # each has its own number of layers
@@ -375,7 +391,11 @@ _MOSTLY = 0.95  # share of the outcomes whose costs define the unit of most cost
 
 @kept
 def _unit_of_steps(model: SSP) -> tuple[float, float, Fraction, Fraction]:
-    """Return the least and the mean step cost, the unit of all, and the unit of most costs."""
+    """Return the least and the mean positive step cost, and two units.
+
+    The first unit divides all costs of steps, the second divides the costs of most outcomes. Last
+    steps of an episode do not count.
+    """
     going_on = ~(dead_ends(model) | model.goal_mask)[model.successors]
     costs, counts = np.unique(model.costs[going_on], return_counts=True)
     paid = costs > 0.0
@@ -389,14 +409,14 @@ def _unit_of_steps(model: SSP) -> tuple[float, float, Fraction, Fraction]:
 
 
 def coarser_unit(problem: Problem) -> tuple[Fraction, bool] | None:
-    """Return a coarser unit for a first solve on a lattice of many exact totals.
+    """Return a coarser unit for a first solve of case S with very many exact totals.
 
     Args:
         problem: the problem.
 
     Returns:
-        The unit, at most the least step, and whether it is the unit of most costs. None: it does
-        not help, or the problem is not case S with failure as the only limit.
+        The unit, which is at most the least step cost, and whether it divides most costs. None if a
+        coarser unit does not help, or the problem is not case S with failure as the only limit.
     """
     if not problem.is_mean_within_budget or problem.cost_cap is not None:
         return None
@@ -446,7 +466,7 @@ def is_split(problem: Problem, seconds: float = np.inf) -> bool:
 
 
 def with_split_costs(model: SSP, unit: Fraction) -> SSP:
-    """Return the model with the cost of each step split between two multiples of a unit.
+    """Return the model with each step's cost split between the two nearest multiples of a unit.
 
     The last step of an episode is not split, since no policy has to remember its cost.
 
@@ -477,13 +497,11 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
 
 
 def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
-    """Yield finer and finer units of split costs.
-
-    The coarser unit of a lattice of many totals, if any, comes first.
+    """Yield finer and finer units on which to split costs, beginning with :func:`coarser_unit`.
 
     Args:
-        problem: of case S.
-        finest: down to the finest unit that fits, whatever ``cost_levels`` says.
+        problem: a problem of case S.
+        finest: whether to go down to the finest unit that fits, and ignore ``cost_levels``.
     """
     cheapest = float(step_costs(problem.model)[1][1])
     if coarse := coarser_unit(problem):
@@ -492,7 +510,7 @@ def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction
 
 
 def _span_of_steps(problem: Problem) -> float:
-    """Return the span of totals that split costs distinguish; last steps are left out."""
+    """Return the span of totals that split costs distinguish, without costs of last steps."""
     return span_of_totals(problem, float(step_costs(problem.model)[1][-1]))
 
 
@@ -504,17 +522,17 @@ def split_optimum(
     most: int | None = None,
     reach: float = np.inf,
 ) -> Optimum[Any]:
-    """Return the optimum with split costs, of a larger unit if there are too many levels.
+    """Return the optimum with costs split on a unit, or on a larger one if it has too many layers.
 
-    If no larger unit makes them few enough, the layers are capped.
+    If no larger unit has few enough layers either, accumulated cost is capped.
 
     Args:
-        problem: of case S.
+        problem: a problem of case S.
         unit: unit of the costs.
         options: tolerance and limits.
         guess: a guess of the price of failure, or None.
-        most: most levels; None: any number.
-        reach: total of the first cap; infinite: a guess.
+        most: greatest number of layers; None: no limit.
+        reach: accumulated cost of the first cap; infinite: the default first cap.
 
     Raises:
         InfeasibleError: no policy satisfies the budget.
@@ -546,7 +564,7 @@ def _unit_of(outcome: Optimum[Any]) -> Fraction:
 def _solved_on_lattice(
     problem: Restated, options: SolveOptions, near: Near | None = None
 ) -> Solution:
-    """Solve a problem with rounded costs, whose totals lie on a lattice."""
+    """Solve a problem with rounded costs, all of whose totals are multiples of one unit."""
     if problem.semantics.risk is None:
         solved = cheapest_at_least_failure if problem.failure_budget is None else best_within_budget
         return solved(problem, options)
@@ -574,9 +592,9 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
             attained = problem.semantics.worth_of(measured_costs(best.policy, problem))
     if two_sided_gap(attained, bound) > options.tolerance and not is_late():
         unit = cast("CostAwarePolicy", best.policy.policies[0]).unit
-        more = "no room for more levels"
+        more = "a finer unit would need too many levels"
         if problem.cost_levels is not None:
-            more = "set more levels for a smaller gap"
+            more = "raise cost_levels for a smaller gap"
         note = f"costs are rounded to multiples of {unit:g}: {more}"
     return replace(
         best,
@@ -589,7 +607,7 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
-    """Yield the best policy by costs rounded up, with the best bound, after each unit."""
+    """Yield, for each unit, the best policy by costs rounded up so far, and the best bound."""
     best, semantics, risk = None, problem.semantics, problem.semantics.risk
     sign = -1.0 if semantics.maximises else 1.0
     bound, span = worth_bound(problem), span_of_totals(problem)
@@ -621,7 +639,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
 
 
 def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> Iterator[Proved]:
-    """Yield the best bound by rounded costs after each unit."""
+    """Yield the best bound by costs rounded down so far, for each of finer and finer units."""
     sign, bound = -1.0 if problem.semantics.maximises else 1.0, worth_bound(problem)
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
         proved, allowed = lattice_bound(problem, unit, rough)
@@ -635,13 +653,16 @@ def lattice_bound(
     options: SolveOptions,
     near: Near | None = None,
 ) -> tuple[float, float]:
-    """Return the bound by costs rounded down to a lattice, and the allowed failure.
+    """Return the bound of the optimum by costs rounded down to multiples of a unit.
 
     Args:
         problem: the problem.
         unit: unit of the rounded costs.
         options: tolerance and limits.
-        near: where a search may begin, or None.
+        near: a first threshold of a risk measure and a price of failure there, or None.
+
+    Returns:
+        The bound, and the largest failure of the policies for which it holds.
     """
     rounded, budget = _with_rounded_costs(problem, unit, up=False), problem.failure_budget
     solution = _solved_on_lattice(rounded, options, near)
@@ -650,9 +671,10 @@ def lattice_bound(
 
 
 def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
-    """Translate a policy of the model with rounded costs to the model itself.
+    """Return a policy of the model with costs rounded up as a policy of the model itself.
 
-    A policy without memory gets one layer, so that its costs are rounded in the same way.
+    It remembers the sum of the rounded costs. A policy without memory gets one layer, so that its
+    costs are evaluated as rounded, too.
 
     Raises:
         ModelError: its memory is not the cost paid.
@@ -660,7 +682,7 @@ def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     if isinstance(policy, CostAwarePolicy):
         return replace(policy, model=model, rounds_up=True)
     if not isinstance(policy, DeterministicPolicy):
-        raise ModelError(f"a {type(policy).__name__} does not remember the cost paid")
+        raise ModelError(f"a {type(policy).__name__} does not remember the total cost so far")
     pair, first = policy.decision, model.pair_offsets[:-1]
     position = np.where(pair < 0, pair, pair - first)[None, :]
     never = np.full(model.n_states, np.inf)
@@ -668,7 +690,7 @@ def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
 
 
 def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restated:
-    """Return the problem with costs rounded to multiples of a unit."""
+    """Return the problem with each cost rounded to a multiple of a unit, up or down."""
     model = problem.model
     kinds, kind = np.unique(model.costs, return_inverse=True)
     units = kinds / float(unit)
@@ -698,13 +720,13 @@ _RARE = 20.0  # most by which a single step may exceed the span
 def rounding_units(
     problem: Problem, span: float, *, cheapest: float = np.inf, finest: bool = False
 ) -> Iterator[Fraction]:
-    """Yield finer and finer rounding units.
+    """Yield finer and finer units to which costs are rounded.
 
     Args:
-        problem: its ``cost_levels``, if any, limit the number of units.
-        span: span of totals.
-        cheapest: cost of a step that the first unit must not exceed, if that is quick to solve.
-        finest: down to the finest unit that fits, whatever ``cost_levels`` says.
+        problem: its ``cost_levels``, if any, limit how many units the span may contain.
+        span: greatest total that rounding must resolve.
+        cheapest: least step cost: the first unit does not exceed it if that is quick to solve.
+        finest: whether to go down to the finest unit that fits, and ignore ``cost_levels``.
     """
     room = min(max(_MOST, _ROOM // problem.model.n_states), _FINEST)
     most = (None if finest else problem.cost_levels) or room
@@ -717,17 +739,19 @@ def rounding_units(
 
 
 def short_decimal(size: float) -> Fraction:
-    """Return the least number of two digits that is not smaller: its multiples are short."""
+    """Return the least number of two significant digits that is at least a size."""
     power = Fraction(10) ** (int(np.floor(np.log10(size))) - 1)
     return int(np.ceil(size / float(power) * (1.0 - SAME_TOTAL))) * power
 
 
 def span_of_totals(problem: Problem, dearest: float | None = None) -> float:
-    """Return the span of totals that rounding must resolve: the bound, or some typical costs.
+    """Return the greatest total that rounding must resolve.
+
+    It is the bound of a criterion that has one, otherwise a multiple of a typical total cost.
 
     Args:
         problem: the problem.
-        dearest: greatest cost of a single step that is remembered; None: of any step.
+        dearest: greatest cost of a step that policies remember; None: of any step.
     """
     charge = problem.semantics.charge(problem.ratio)
     dearest = float(problem.model.costs.max(initial=0.0)) if dearest is None else dearest

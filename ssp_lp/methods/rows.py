@@ -4,18 +4,19 @@ Column generation runs phase 1 and phase 2 (``column_generation.search``). If th
 program is solved first, its duals are the first prices. A cost given success is found by
 Dinkelbach's iteration: at the optimum the least ``cost + ratio * failure`` equals the ratio.
 
-If accumulated cost is truncated at a cap, the process gives a lower bound and the policy's own
-value an upper bound. If the first cap is a guess, a rough search gives prices, and these give the
-cap at which nothing is lost. The lottery of a search is used again at higher caps until both bounds
-meet.
+If accumulated cost is truncated at a cap, the truncated process gives a lower bound, and the exact
+value of the policy an upper bound. If the first cap is a guess, a rough search finds prices, and
+from these follows a cap that causes no error. The lottery of one search is the start of the next
+one, at a higher cap, until both bounds agree.
 
-On a grid of totals the process gives a lower bound for every policy. Its policies remember the
-rounded total; they are evaluated with the true costs, and the lottery is chosen by these numbers,
-so that it satisfies the budget and all limits.
+If totals are rounded to a grid, the rounded process gives a lower bound for every policy. Its
+policies remember the rounded total. They are evaluated with the true costs, and the lottery is
+chosen by these values, so that it satisfies the budget and all limits.
 
 Phase 1 ends with a feasible lottery, or with an irreducible set of conflicting rows. The conflict
 is proved by prices z >= 0 at which ``z @ activity`` of every policy exceeds ``z @ bounds``
-(Farkas), never by the status of a program; rows are deleted while the rest is still in conflict.
+(Farkas), never by the status of a program. Rows are deleted from the set while the remaining rows
+are still in conflict.
 """
 
 from __future__ import annotations
@@ -127,9 +128,10 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 def _may_be_rarer(
     stated: CompiledExplicit, optimum: Optimum[CompiledExplicit], options: SolveOptions
 ) -> bool:
-    """Return whether the goal's probability instead of 1 - failure improves the optimum.
+    """Return whether the optimum improves if the goal is counted directly, not as 1 - failure.
 
-    The search uses slightly tighter rows, so that no success comes from the tolerance of a row.
+    A second search counts the goal. Its rows are slightly tighter, so that no success is due to the
+    tolerance of a row.
     """
     if not stated.may_be_rare or optimum.gap <= options.tolerance or is_late():
         return False
@@ -144,7 +146,9 @@ def _may_be_rarer(
 
 
 def is_rarely_reached(stated: CompiledExplicit, goal: float) -> bool:
-    """Return whether success is so rare that the goal must be counted instead of failure.
+    """Return whether success is so rare that 1 - failure would lose its digits.
+
+    Then the goal probability must be counted directly.
 
     Args:
         stated: the problem.
@@ -206,7 +210,7 @@ def rows_optimum(
             ", or allow more time",
         )
     if compiled.is_rounded and not note:
-        note = f"totals are rounded to {levels}: set more levels for a smaller gap"
+        note = f"totals are rounded to {levels}: raise cost_levels for a smaller gap"
     return replace(best, note=note)
 
 
@@ -216,16 +220,16 @@ def _rows_attempt(
     truth: Truth | None,
     before: Optimum[CompiledExplicit] | None,
 ) -> Optimum[CompiledExplicit]:
-    """Return the optimum of one search within the rows, with a certified bound.
+    """Return the optimum of one search within the rows, with a bound proved at the final prices.
 
-    The bound is proved at the final prices. A trial ends at a coarse gap, and has a bound only if
-    there is a time limit.
+    A search whose cap is only a guess (``is_trial``) ends at a coarse gap; its bound is proved only
+    if there is a time limit.
 
     Args:
         stated: the problem.
         options: method, tolerance and limits.
-        truth: evaluates policies on the model if the process has accumulated cost.
-        before: optimum on a coarser process, whose lottery or prices are the first ones.
+        truth: evaluates policies on the model if the process has accumulated cost, else None.
+        before: optimum on a coarser process, whose lottery or prices start the search, or None.
     """
     finer, rough = _FINER if stated.sense.constant else 1.0, TRIAL_TOLERANCE * stated.is_trial
     options = replace(options, tolerance=max(finer * options.tolerance, rough))
@@ -292,7 +296,7 @@ def _rows_attempt(
 
 
 def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | None:
-    """Return the value of a lottery by its members' true costs; None: one is unknown."""
+    """Return the value of a lottery with its members' costs on the model; None: one is unknown."""
     costs = [compiled.pricing().true_cost(column) for column in generated.columns]
     known = [cost for cost in costs if cost is not None]
     if len(known) < len(costs):
@@ -302,10 +306,14 @@ def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | Non
 
 
 def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
-    """Return the search on a process with a higher cap; None if the process has no cap.
+    """Return a master that continues a search on a process with a higher cap; None: it has no cap.
 
-    The failure and the row activities of its policies do not change, so that the lottery still
-    satisfies the rows.
+    The failure and the row activities of its policies do not depend on the cap, so its lottery
+    still satisfies the rows.
+
+    Args:
+        search: the master of the search with the lower cap.
+        pricing: the pricing problem with the higher cap.
     """
     known = pricing.taken_on(search.lottery[0])
     if known is None:
@@ -317,12 +325,17 @@ def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
 def _granted(
     compiled: CompiledExplicit, rows: Rows, finished: bool
 ) -> tuple[dict[str, float], str]:
-    """Return the bounds that were raised to the attainable value, by name, and notes on a search.
+    """Return the bounds that phase 1 raised, and a note about them and about a search cut short.
+
+    A bound that lies below the attainable value by rounding alone is raised to that value.
 
     Args:
-        compiled: the problem.
-        rows: the limited rows, with the bounds that count.
-        finished: whether the search was not cut short.
+        compiled: the problem, with the stated bounds.
+        rows: the limited rows, with the bounds that the search used.
+        finished: whether the search ended by itself.
+
+    Returns:
+        The raised bounds by name, and the note.
     """
     stated = dict(zip(compiled.names, compiled.bounds.tolist(), strict=True))
     counted = zip(names_of(compiled, rows), rows.bounds.tolist(), strict=True)
@@ -349,7 +362,7 @@ lottery, and the cost, failure and rows of one policy."""
 
 
 def best_lottery(compiled: CompiledExplicit, opened: Master, options: SolveOptions) -> Generated:
-    """Return the best lottery within the limits, continuing an opened search.
+    """Return the best lottery within the limits: phase 2, from the master that phase 1 returned.
 
     Raises:
         InfeasibleError: case S, and no policy within the limits reaches the goal.
@@ -374,14 +387,16 @@ def true_lottery(
     weights: FloatArray,
     figures: Callable[[Policy], FloatArray],
 ) -> Generated | None:
-    """Return the best lottery within the rows by true figures.
+    """Return the best lottery within the rows, by the values of its policies on the model.
+
+    Candidates are the best policies of a rounded process, and policies at steeper prices.
 
     Args:
         compiled: the problem.
         rows: the limited rows.
-        pool: policies of the process.
-        weights: weights of the rewards that rank them, [rewards].
-        figures: returns the true cost, failure and rows of a policy.
+        pool: policies of the rounded process.
+        weights: weights of the rewards that rank these policies, [rewards].
+        figures: returns the cost, failure and rows of a policy on the model, [rewards].
 
     Returns:
         None if no lottery satisfies the rows and reaches the goal: the grid is too coarse.
@@ -407,7 +422,10 @@ def true_lottery(
 
 
 def _luck(compiled: CompiledExplicit) -> float:
-    """Return the greatest goal probability that a policy may gain by the tolerance of a limit."""
+    """Return the goal probability that may be an artefact of a limit's tolerance.
+
+    Lotteries of at most this goal probability do not count as reaching the goal.
+    """
     is_told = compiled.by_goal or not compiled.ratio or compiled.limits_failure
     return 0.0 if is_told else _LUCK * compiled.greatest_goal
 
@@ -417,7 +435,9 @@ def true_figures(
     stated: CompiledExplicit,
     value: Callable[[MixedPolicy], float] | None = None,
 ) -> Truth | None:
-    """Return functions that evaluate policies on the model; None: the process is exact.
+    """Return two functions that evaluate policies on the model, not on a truncated process.
+
+    The result is None if the problem has no accumulated cost, since its process is exact.
 
     Args:
         problem: the problem.
@@ -431,7 +451,10 @@ def true_figures(
     unlimited = Restated(plain.model, *asked, discount=plain.discount)
 
     def own_value(policy: MixedPolicy) -> float:
-        """Return the minimised value of a lottery; ``constant - value`` is its own inverse."""
+        """Return the minimised value of a lottery, from its objective.
+
+        ``worth`` maps either to the other, since ``constant - value`` is its own inverse.
+        """
         return stated.sense.worth(evaluate(policy, unlimited).objective)
 
     def figures(policy: Policy) -> FloatArray:
@@ -455,10 +478,10 @@ def row_activities(stated: CompiledExplicit, evaluation: Evaluation) -> list[flo
 
 
 def opened(stated: CompiledExplicit, options: SolveOptions) -> tuple[CompiledExplicit, Master]:
-    """Run phase 1; return the problem and the search that phase 2 starts from.
+    """Run phase 1; return the problem to solve, and the master from which phase 2 starts.
 
-    If the budget equals the least failure, the problem becomes the problem of least failure. The
-    least failure is not computed if a policy of phase 1 fails less often than the budget allows.
+    If the budget equals the least failure, the problem to solve is that of least failure. The least
+    failure is not computed if a policy of phase 1 fails less often than the budget allows.
     """
     if not (stated.limits_failure and stated.is_whole):
         compiled = stated.settled()
@@ -487,8 +510,8 @@ def phase_one(
         options: tolerance and limits.
 
     Returns:
-        The master of phase 2. Bounds that lie below the attainable value by rounding are raised; in
-        case S it has the ratio of a known lottery.
+        The master of phase 2. Its bounds that lie below the attainable value by rounding alone are
+        raised to that value. In case S its ratio is that of a known lottery.
 
     Raises:
         InfeasibleError: the rows are in conflict.
@@ -525,8 +548,8 @@ def phase_one(
         raise Stop
     if first is None:
         raise SolverError(
-            "rounding ended the search before a policy within all limits was found or a conflict "
-            "of the limits was proved"
+            "rounding ended the search before it found a policy within all limits or proved that "
+            "the limits conflict: relax a limit slightly"
         )
     raise _infeasible(compiled, stated, _irreducible_conflict(pool, rows, first, options), rows)
 
@@ -588,12 +611,12 @@ def _infeasible(
 
 
 def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict | None:
-    """Return the conflict that phase 1 ended with, if it can be certified (Farkas).
+    """Return the conflict of rows that the prices of phase 1 prove (Farkas); None: they prove none.
 
     Args:
         pool: the policies of phase 1.
         rows: the rows of phase 1.
-        generated: its result.
+        generated: the result of phase 1.
     """
     sizes = pool.sizes(rows)
     matters = generated.prices * sizes > ATTAINABLE * min(generated.objective, 1.0)
@@ -647,7 +670,8 @@ def _kept_to(ended: Generated, rows: Rows) -> bool:
 def _without_traces(ended: Generated, rows: Rows) -> Generated:
     """Return the result of phase 1 without members of negligible weight.
 
-    Such members may violate one row only to satisfy another to its last digit.
+    Phase 1 may give a member a negligible weight to satisfy one row to its last digit, although the
+    member violates another row.
     """
     weights = np.where(ended.weights > _TRACE, ended.weights, 0.0)
     weights /= weights.sum()
@@ -664,7 +688,14 @@ def names_of(compiled: CompiledExplicit, rows: Rows) -> list[str]:
 def search_begun_at(
     compiled: CompiledExplicit, rule: Master, ratio: float, prices: Mapping[str, float]
 ) -> Master:
-    """Return the search with first prices by name and, in case S, a first ratio."""
+    """Return a master with other first prices of the rows and, in case S, another first ratio.
+
+    Args:
+        compiled: the problem.
+        rule: the master.
+        ratio: the first ratio of case S; 0: that of ``rule``.
+        prices: first prices, by name of the row; 0 if a name is missing.
+    """
     rows = replace(rule.rows, ratio=ratio or rule.rows.ratio) if compiled.ratio else rule.rows
     begun = np.array([prices.get(name, 0.0) for name in names_of(compiled, rows)])
     return replace(rule, rows=rows, prices=begun, bound=0.0)
@@ -673,7 +704,7 @@ def search_begun_at(
 def search_begun_at_duals(
     compiled: CompiledExplicit, rule: Master, options: SolveOptions
 ) -> tuple[ProgramOptimum, Master]:
-    """Solve the full linear program; return its optimum and the search started at its duals."""
+    """Solve the full linear program; return its optimum, and a master with its duals as prices."""
     if compiled.ratio:  # feasibility is decided here, not by the LP solver
         best_lottery(compiled, rule, replace(options, tolerance=_COARSE))
     pricing, rows = compiled.explicit_pricing, rule.rows
@@ -715,16 +746,17 @@ def rows_bound(
     prove: Callable[[FloatArray], Proof],
     least_goal: float | None = None,
 ) -> tuple[float, Proof]:
-    """Return the best lower bound of the objective by proofs at the prices, and its proof.
+    """Return the best lower bound of the objective that the rows' prices prove, with its proof.
 
-    If ``cost - ratio * goal >= D`` for every lottery within the rows, the cost given success is at
-    least ``ratio + D / goal``. Two ratios are tried: ``rows.ratio``, and one just below it.
+    In case S, if ``cost - ratio * goal >= D`` for every lottery within the rows, the cost given
+    success is at least ``ratio + D / goal``. Two ratios are tried: ``rows.ratio``, and a slightly
+    smaller one.
 
     Args:
         compiled: the problem.
         rows: the limited rows; in case S with the ratio to prove.
         prices: >= 0, [rows].
-        prove: returns a checked bound of every policy's totals at weights of the rewards.
+        prove: returns a checked lower bound of every policy's weighted rewards, given the weights.
         least_goal: a lower bound of the goal probability of all lotteries within the rows; None:
             computed only if the bound is poor without it.
     """
@@ -755,7 +787,17 @@ def rows_bound(
 def _excess_over_paid(
     compiled: CompiledExplicit, rows: Rows, prices: FloatArray, proof: Proof
 ) -> float:
-    """Return a lower bound of the priced value minus the amount that every episode pays."""
+    """Return a lower bound of ``cost + prices @ (activity - bounds)`` minus a constant.
+
+    The constant is the amount that every episode pays: in case S the ratio, otherwise the shift of
+    the objective. If rounding would dominate the difference, it is summed without cancellation.
+
+    Args:
+        compiled: the problem.
+        rows: the limited rows.
+        prices: >= 0, [rows].
+        proof: proof of the weighted rewards at these prices.
+    """
     paid, less = rows.ratio if compiled.ratio else compiled.sense.shift, -np.inf
     if compiled.by_goal and compiled.ratio:
         paid = 0.0  # the reward is the goal, not failure
@@ -769,8 +811,8 @@ def _excess_over_paid(
 def least_goal_within(compiled: CompiledExplicit, rows: Rows) -> float:
     """Return a certified lower bound of the goal probability of lotteries within the rows.
 
-    A separate search minimises the goal probability within all rows together. Together they may
-    imply a greater goal probability than each row alone. It needs no accumulated cost.
+    A separate search minimises the goal probability within all rows, which together may imply a
+    greater goal probability than each row alone. The search needs no accumulated cost.
 
     Args:
         compiled: the problem, settled.
@@ -793,13 +835,13 @@ def least_goal_within(compiled: CompiledExplicit, rows: Rows) -> float:
 def bound_at(
     compiled: CompiledExplicit, prices: Mapping[str, float], ratio: float, least_goal: float
 ) -> float:
-    """Return a lower bound of every lottery within the rows, at prices by name.
+    """Return a lower bound of the objective of all lotteries within the rows, proved at prices.
 
     Args:
         compiled: the problem, settled.
-        prices: multipliers of the rows, >= 0.
+        prices: multipliers of the rows, >= 0, by name; 0 if a name is missing.
         ratio: case S: the value to prove.
-        least_goal: a lower bound of their goal probabilities.
+        least_goal: a lower bound of the goal probability of these lotteries.
     """
     pool = Pool(compiled.pricing(), [compiled.pricing().first()])
     rows = replace(limited_rows(compiled), ratio=ratio)
@@ -809,10 +851,10 @@ def bound_at(
 
 
 def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """Prove the lower bound within the limits that the prices of all rows give.
+    """Prove a lower bound of the objective from a solution's prices of all rows and its values.
 
     Raises:
-        ModelError: the value function does not fit.
+        ModelError: the solution has no value function, or one that does not fit the problem.
     """
     stated, values = compiled_constrained(solution.problem), solution.value_function
     stated = stated.counting_rare_success(solution.problem.failure_budget)
@@ -820,7 +862,7 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
         stated = replace(stated, by_goal=True)
     compiled = stated.settled()
     if values is None:
-        raise ModelError("a certificate needs a value function: the solution has none")
+        raise ModelError("the solution has no value function to certify: solve the problem again")
     if not np.isfinite(evaluation.objective):
         return Proved(
             evaluation.objective, 0.0, 1.0, f"the policy's objective is {evaluation.objective}"
@@ -836,7 +878,10 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
     pricing = compiled.pricing()
 
     def prove(weights: FloatArray) -> Proof:
-        """Return the values' proof at weights; without values, the proof of a new pricing call."""
+        """Return the proof at weights of the rewards, from the solution's value function.
+
+        Without a value function the pricing problem is solved for the proof.
+        """
         if own_values is None:
             return pricing.prove(weights, pricing.minimise(weights))
         return pricing.check(weights, own_values)
@@ -853,14 +898,14 @@ def proved_at_prices(
     prove: Callable[[FloatArray], Proof],
     ratios: Sequence[float] = (0.0,),
 ) -> Proved:
-    """Return the bound for an evaluated lottery that the prices of all rows prove.
+    """Return the bound of the objective that prices of the rows prove, with a lottery's objective.
 
     Args:
         compiled: the problem.
         evaluation: evaluation of the lottery.
         budget: the failure budget.
-        named: prices by name.
-        prove: returns a checked bound of every policy's totals at weights of the rewards.
+        named: prices of the rows, by name; 0 if a name is missing.
+        prove: returns a checked lower bound of every policy's weighted rewards, given the weights.
         ratios: the ratios to try in case S.
     """
     prices = np.array([named.get(name, 0.0) for name in compiled.names])

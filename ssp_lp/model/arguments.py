@@ -1,4 +1,4 @@
-"""Errors for arguments of a wrong type: each value is compared with its annotation."""
+"""Errors that name an argument of a wrong type: values are compared with annotations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _Made = TypeVar("_Made")
 
 
 class _Numbers:
-    """Placeholder for any value that numpy makes an array of."""
+    """Stand-in for ``ArrayLike`` in annotations: any value that numpy converts to an array."""
 
 
 _NUMPY = SimpleNamespace(ArrayLike=_Numbers, NDArray=npt.NDArray, DTypeLike=Any)
@@ -44,7 +44,7 @@ _WORDS: dict[Any, tuple[str, str]] = {
     Iterable: ("a list", "lists"),
     _Numbers: ("numbers", "numbers"),
 }
-"""Names of a type, singular and plural."""
+"""Words for a type in errors, singular and plural."""
 
 _MADE_BY = {
     "Frontier": "trace_frontier(problem)",
@@ -53,7 +53,7 @@ _MADE_BY = {
     "GymnasiumWorld": "from_gymnasium(env)",
     "OccupationMeasure": "problem.program().solve()",
 }
-"""Function or method that makes an object of each class of answers."""
+"""Name of a class of results -> call that makes an object of it, for errors."""
 
 _FITS: dict[Any, Callable[[Any], bool]] = {
     Any: lambda value: True,
@@ -72,15 +72,16 @@ _FITS: dict[Any, Callable[[Any], bool]] = {
     ),
     _Numbers: lambda value: value is not None and _goes_into(np.asarray, value, np.float64),
 }
-"""Tests of a value for a type: a list serves as a tuple, numpy's numbers as Python's."""
+"""Type -> test of a value; a list is accepted as a tuple, numpy's numbers as Python's."""
 
 
 def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
     """Wrap a function so that an error caused by an argument of a wrong type names the argument.
 
-    Arguments are compared with the annotations only after the call has failed: the first one that
-    does not fit its annotation is named by a :class:`ModelError`, and any other failure is raised
-    unchanged. Flags are checked before the call, since every value has a truth value.
+    Arguments are compared with the annotations only after the call has failed. A
+    :class:`ModelError` then names the first argument that does not fit its annotation; if all fit,
+    the error of the call is raised unchanged. Arguments annotated as ``bool`` are checked before
+    the call, since Python accepts any value as a condition and the call would not fail.
 
     Args:
         public: a function or method that users call.
@@ -91,7 +92,7 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
 
     @wraps(public)
     def call(*given: _Given.args, **named: _Given.kwargs) -> _Answer:
-        """Call the function after checking its flags."""
+        """Check the bool arguments, call the function, and explain its error."""
         stated = dict(zip(placed, given, strict=False)) | named if flags else {}
         for flag in flags:
             check_flag(flag, stated.get(flag, False))
@@ -117,14 +118,14 @@ _BARE = (TypeError, AttributeError, LookupError, ValueError, OverflowError)
 
 
 def _name_of(public: Callable[..., Any], of: object) -> str:
-    """Return the name of a function as its user writes it, with the class of a method's object."""
+    """Return the name of a function for an error; of a method with its class, ``SSP.with_cost``."""
     name = public.__qualname__.replace(".<locals>", "")
     name = name if of is None else f"{type(of).__name__}.{public.__name__}"
     return name.removesuffix(".__init__")
 
 
 def explained_class(made: type[_Made]) -> type[_Made]:
-    """Wrap a class so that its constructor names an argument of a wrong type."""
+    """Wrap the constructor of a class by :func:`explained`; return the class."""
     made.__init__ = explained(made.__init__)  # type: ignore[method-assign]
     return made
 
@@ -137,7 +138,7 @@ def check_fields(made: object) -> None:
 
 
 def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
-    """Return an error text for the first argument whose value misfits its annotation, or None."""
+    """Return an error text for the first value that does not fit its annotation; None: all fit."""
     names = {**vars(sys.modules[annotated.__module__]), "npt": _NUMPY}
     for part, annotation in get_annotations(annotated).items():
         if part not in values:
@@ -153,9 +154,10 @@ def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
 
 
 def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | None:
-    """Return an error text for a value that misfits its annotation: which part, and the remedy.
+    """Return an error text for a value that does not fit its annotation; None: it fits.
 
-    At most ``most`` entries of a table or a list are examined.
+    The text names the value, or the entry of it that does not fit, and the expected type. At most
+    ``most`` entries of a dict or a list are examined.
     """
     kind, parts = get_origin(hint) or hint, get_args(hint)
     wrong = f"{place} must be {_in_words(hint)}, not {in_short(value)}"
@@ -183,7 +185,7 @@ def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | N
 
 
 def holder_of(value: object, kind: Any) -> str:
-    """Return a clause on the attribute of a wrong argument that fits its annotation, or nothing."""
+    """Return a hint at a value's ``.policy``, ``.model`` or ``.problem`` if its type is right."""
     for name in ("policy", "model", "problem") if kind not in _WORDS else ():
         if hasattr(value, name) and _fits(getattr(value, name), kind):
             return f"; it has one: .{name}"
@@ -191,7 +193,7 @@ def holder_of(value: object, kind: Any) -> str:
 
 
 def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:
-    """Return whether an argument's value is of the annotated kind, whatever its entries are."""
+    """Return whether a value has the annotated type; the types of its entries are not checked."""
     if kind is Literal:
         return value in parts
     if kind is Callable:
@@ -207,7 +209,7 @@ def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:
 
 
 def _goes_into(function: Callable[..., object], *arguments: Any) -> bool:
-    """Return whether a function accepts these arguments."""
+    """Return whether a function can be called with these arguments without an error."""
     try:
         function(*arguments)
     except (TypeError, ValueError, OverflowError):
@@ -216,12 +218,12 @@ def _goes_into(function: Callable[..., object], *arguments: Any) -> bool:
 
 
 def _class_name(kind: Any) -> str:
-    """Return the name of an annotated class; empty for any other annotation."""
+    """Return the name of a class; an empty string for an annotation that is not a class."""
     return kind.__name__ if isinstance(kind, type) else ""
 
 
 def _in_words(hint: Any, *, several: bool = False) -> str:
-    """Return the type hint of an argument in words."""
+    """Return a type hint in words, such as "a list of numbers"; ``several``: in the plural."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, UnionType):
         return " or ".join(dict.fromkeys(_in_words(part, several=several) for part in parts))

@@ -29,10 +29,10 @@ from ssp_lp.model.report import Report, Table
 from ssp_lp.model.ssp import SSP
 
 USEFUL_COUNT = 1_000
-"""Number of observations of a pair for narrow boxes: about 0.05 to each side at 95 %."""
+"""Observations of a pair that give an interval of about +- 0.05 at confidence 95 %."""
 
 FORCED = 1e-12
-"""Least narrowing of an interval by the others that counts; less is due to rounding of sums."""
+"""Differences of probabilities up to this one are attributed to the rounding of sums."""
 
 
 @explained_class
@@ -74,8 +74,8 @@ class Boxes(Report, ReadOnlyCopies):
         wrong |= (least > 1.0 + PROBABILITY_SUM) | (most < 1.0 - PROBABILITY_SUM)
         if wrong.any():
             named = model.describe_pair(int(pair[int(np.argmax(wrong))]))
-            raise ModelError(f"{named}: no probabilities lie within its box: 0 <= low <= high <= 1"
-                             " with sums of low at most 1 and of high at least 1")  # fmt: skip
+            raise ModelError(f"{named}: no distribution lies in its box: it must have 0 <= low <= "
+                             "high <= 1, a sum of low <= 1 and a sum of high >= 1")  # fmt: skip
         forced, left = 1.0 - (most - high), 1.0 - (least - low)
         narrowed = {"low": np.where(forced > low + FORCED, forced, low),
                     "high": np.where(left < high - FORCED, left, high)}  # fmt: skip
@@ -87,10 +87,10 @@ class Boxes(Report, ReadOnlyCopies):
     def from_counts(cls, model: SSP, confidence: float = 0.95) -> Boxes:
         """Return the intervals of Clopper and Pearson (1934) that hold jointly.
 
-        The error is divided equally among the intervals (union bound). A pair with one successor
-        needs no interval. A pair with two successors needs one, since the other is its complement.
-        Only outcomes of the table are possible: for a successor that is possible but was never
-        seen, add a row with count 0.
+        The probability of error, 1 - ``confidence``, is divided equally among the intervals (union
+        bound). A pair with one successor needs no interval. A pair with two successors needs one
+        interval, since the other one is its complement. A successor without a row in the table of
+        counts is impossible: if it is possible but was never seen, add a row with count 0.
 
         Args:
             model: model made by :meth:`ssp_lp.SSP.from_counts`.
@@ -144,7 +144,7 @@ class Boxes(Report, ReadOnlyCopies):
         return f"Boxes({self.model!r}, widest {width:.3g}{sure})"
 
     def tables(self) -> Sequence[Table]:
-        """Return a table of counts, probabilities and intervals, with notes on wide boxes."""
+        """Return a table of counts, probabilities and intervals, with notes on too few data."""
         model = self.model
         pair = segment_ids(model.outcome_offsets)
         counts = np.full(len(pair), np.nan) if model.counts is None else model.counts
@@ -158,7 +158,7 @@ class Boxes(Report, ReadOnlyCopies):
         return [Table(rows, head, title, self._remarks(), left=3)]
 
     def _remarks(self) -> list[str]:
-        """Return notes on weak data: successors never seen, pairs with few counts."""
+        """Return notes on successors that were never seen and on pairs with few observations."""
         model, counts = self.model, self.model.counts
         if counts is None or self.confidence is None:
             return []
@@ -166,7 +166,7 @@ class Boxes(Report, ReadOnlyCopies):
         totals, notes = segment_sums(counts, model.outcome_offsets), []
         if never.size:
             most = float(self.high[never].max())
-            notes.append(f"successors never seen: {never.size:,}; each may have up to {most:.2g}")
+            notes.append(f"successors never seen: {never.size:,}; of probability up to {most:.2g}")
         few = (totals < USEFUL_COUNT) & (np.diff(model.outcome_offsets) > 1)
         if few.any():
             wide = f"the widest interval is {float((self.high - self.low).max()):.2g}"
@@ -213,13 +213,13 @@ def posterior_draws(
 
 
 def forced(low: FloatArray, high: FloatArray, chosen: BoolArray, offsets: IntArray) -> BoolArray:
-    """Return the boxes in which every distribution has mass on chosen entries, [boxes].
+    """Return a mask of the boxes in which every distribution has mass on chosen entries, [boxes].
 
     Args:
-        low: [entries].
-        high: [entries].
-        chosen: [entries].
-        offsets: the box of segment k has the entries ``offsets[k] : offsets[k + 1]``.
+        low: least probability of each entry, [entries].
+        high: greatest probability of each entry, [entries].
+        chosen: mask of the chosen entries, [entries].
+        offsets: box k has the entries ``offsets[k] : offsets[k + 1]``, [boxes + 1].
     """
     mass = segment_sums(np.where(chosen, low, 0.0), offsets)
     room = segment_sums(np.where(chosen, 0.0, high), offsets)
@@ -229,15 +229,16 @@ def forced(low: FloatArray, high: FloatArray, chosen: BoolArray, offsets: IntArr
 def greatest_mean(
     low: FloatArray, high: FloatArray, worth: FloatArray, offsets: IntArray
 ) -> FloatArray:
-    """Return the probabilities within boxes that maximise the mean of a worth, [entries].
+    """Return the distribution in each box that has the greatest mean of given values, [entries].
 
-    Each entry first gets its least probability; the rest of the mass goes to the best entries.
+    Each entry first gets its least probability. The remaining mass goes to the entries of greatest
+    value, each up to its greatest probability.
 
     Args:
-        low: [entries].
-        high: [entries].
-        worth: [entries].
-        offsets: the box of segment k has the entries ``offsets[k] : offsets[k + 1]``.
+        low: least probability of each entry, [entries].
+        high: greatest probability of each entry, [entries].
+        worth: value of each entry, [entries].
+        offsets: box k has the entries ``offsets[k] : offsets[k + 1]``, [boxes + 1].
     """
     order, lengths = np.lexsort((-worth, segment_ids(offsets))), np.diff(offsets)
     chosen, missing = np.array(low), 1.0 - segment_sums(low, offsets)

@@ -49,10 +49,11 @@ Moved = tuple[World, IntArray, FloatArray]
 class Axis:
     """A coordinate: the interval from low to high in equal cells, numbered upwards from 0.
 
-    A point between two cells belongs to the upper one. On a periodic axis, such as an angle, low
-    and high are the same point and every number lies in some cell; to centre the cells of a
-    heading on multiples of their width, begin half a width below 0. ``split_edges``: a point of a
-    quadrature between two cells counts half in each, which preserves mirror symmetries.
+    A point on the edge between two cells belongs to the upper one. On a periodic axis, such as an
+    angle, low and high are the same point, and every number lies in some cell. To centre the cells
+    of an angle on multiples of their width, let ``low`` be minus half a width. With
+    ``split_edges``, a point of a quadrature on an edge counts half in each of the two cells, which
+    preserves mirror symmetries.
     """
 
     low: float
@@ -68,7 +69,7 @@ class Axis:
             raise ModelError(f"an axis needs a whole number of cells >= 1, not {cells}")
         check_fields(self)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
-            raise ModelError(f"an axis must run from low to a greater high: {self!r}")
+            raise ModelError(f"an axis needs a finite low and a greater high: {self!r}")
 
     @property
     def width(self) -> float:
@@ -76,27 +77,27 @@ class Axis:
         return (self.high - self.low) / self.cells
 
     def misses(self, heights: FloatArray) -> BoolArray:
-        """Return a mask of coordinates, in widths of a cell, that are not on the axis, or NaN."""
+        """Return a mask of heights (distances above low, in cell widths) off the axis, or NaN."""
         if self.periodic:
             return ~np.isfinite(heights)
         return ~((heights >= -ON_EDGE) & (heights <= self.cells + ON_EDGE))
 
     def above(self, heights: FloatArray) -> IntArray:
-        """Return the cell at each height (in widths of a cell), the upper one on an edge."""
+        """Return the cell at each height above low, in cell widths; on an edge the upper cell."""
         return self._numbered(np.floor(heights + ON_EDGE))
 
     def below(self, heights: FloatArray) -> IntArray:
-        """Return the cell at each height (in widths of a cell), the lower one on an edge."""
+        """Return the cell at each height above low, in cell widths; on an edge the lower cell."""
         return self._numbered(np.ceil(heights - ON_EDGE) - 1.0)
 
     def wrapped(self, values: FloatArray) -> FloatArray:
-        """Return the coordinates of a periodic axis within low and high; others unchanged."""
+        """Return values on a periodic axis moved into [low, high); on another axis unchanged."""
         if not self.periodic:
             return values
         return self.low + np.mod(values - self.low, self.high - self.low)
 
     def _numbered(self, cells: FloatArray) -> IntArray:
-        """Return the indices of cells, clipped to the axis."""
+        """Return indices of cells within the axis: wrapped if it is periodic, else clipped."""
         if self.periodic:
             inside = cells - self.cells * np.floor(cells / self.cells)
         else:
@@ -154,13 +155,13 @@ class Grid:
 
     @explained
     def place(self, state: int) -> tuple[int, int] | None:
-        """Return a state's position along the first two axes, for pictures; None for ends.
+        """Return a state's position along the first two axes, for pictures; None for the ends.
 
         Raises:
             ModelError: the grid has one axis, or no state has this number.
         """
         if len(self.axes) < 2:
-            raise ModelError("grid.place needs two axes: a picture has two directions")
+            raise ModelError("grid.place needs a grid of at least two axes")
         if state >= self.n_cells:
             return None
         first, second = self.index_of(state)[:2]
@@ -184,7 +185,7 @@ class Grid:
         return int(cells) if cells.ndim == 0 else cells
 
     def heights(self, coordinates: Coordinates) -> Coordinates:
-        """Return the coordinates of points above the low ends, in widths of a cell."""
+        """Return the distances of coordinates above the low end of their axis, in cell widths."""
         return tuple(
             np.asarray((values - axis.low) * (axis.cells / (axis.high - axis.low)))
             for axis, values in zip(self.axes, coordinates, strict=True)
@@ -200,10 +201,12 @@ class Grid:
         return missed
 
     def numbers_about(self, heights: Coordinates, *, split: bool = True) -> list[IntArray]:
-        """Return the cells among which each point is divided equally, in 1, 2, 4, ... arrays.
+        """Return arrays of cells, one cell of each point in each array.
 
-        A point has several cells only on an edge of an axis with ``split_edges``. Otherwise it has
-        one cell; on an edge, the upper one.
+        There is one array unless points lie on an edge of an axis with ``split_edges``. Then there
+        are two, for the lower and the upper cell at the edge (4, 8, ... with several such axes): a
+        point on the edge counts half in each cell, and other points have equal cells in both. On
+        an edge of another axis a point belongs to the upper cell.
         """
         parts: list[list[IntArray]] = []
         for axis, stride, values in zip(self.axes, self.strides, heights, strict=True):
@@ -247,7 +250,7 @@ class Distribution(ReadOnlyCopies):
     @classmethod
     @explained
     def uniform(cls, low: float, high: float) -> Distribution:
-        """Return uniform noise on an interval; :class:`ModelError` unless low <= high, finite."""
+        """Return uniform noise on an interval; :class:`ModelError` for a wrong interval."""
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
             raise ModelError(f"a uniform distribution needs low <= high, not {low!r}, {high!r}")
         return cls(partial(_between, float(low), float(high)))
@@ -258,7 +261,8 @@ class Distribution(ReadOnlyCopies):
         """Return noise with finitely many values, [atoms], and probabilities, [atoms].
 
         Raises:
-            ModelError: other shapes, a value that is not finite, or no probabilities.
+            ModelError: arrays of different shapes, a value that is not finite, or probabilities
+                that are negative or do not sum to 1.
         """
         atoms = np.asarray(values, dtype=np.float64)
         chance = np.asarray(probabilities, dtype=np.float64)
@@ -310,7 +314,7 @@ Allowed = Callable[[Coordinates, Any], npt.ArrayLike]
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class ContinuousModel:
-    """Continuous coordinates, a step function, and the grid of cells by which policies decide.
+    """A continuous world: coordinates, a step function, and a grid of cells for its policies.
 
     **The step function** is called with one action and many points at a time:
     ``step(point, action, noise) -> (new point, cost, end)``. ``point`` holds one array for each
@@ -330,15 +334,14 @@ class ContinuousModel:
         outside: the dead-end of a step that leaves the box; None: such a step is an error.
         alike: function that groups pairs with exactly equal outcomes, so that each group is
             computed once. It maps (positions of cells along each axis, positions of actions) to
-            whole numbers >= 0, equal for the pairs of a group, and not many more than there are
-            pairs.
+            the number of the group, a whole number >= 0 (small numbers need less memory).
         allowed: function that says which actions a cell has: ``allowed(point, action) -> truth
             values``, called with the midpoints of many cells, an array for each axis. The answer at
             the midpoint holds for the whole cell, in the model and in the simulated world; ``step``
             is called for allowed pairs only. None: every action in every cell.
 
-    The model that :func:`~ssp_lp.model.discretise.discretise` makes of it has the
-    cells as states 0, 1, ..., then the goal, then the dead-ends (:meth:`end_state`).
+    The states of the model that :func:`~ssp_lp.model.discretise.discretise` makes of it are the
+    cells 0, 1, ..., then the goal, then the dead-ends (:meth:`end_state`).
     """
 
     grid: Grid
@@ -399,7 +402,7 @@ class ContinuousModel:
             answer = np.asarray(self.allowed(middles, action))
             if answer.dtype != np.bool_ or answer.shape not in ((), (count,)):
                 raise ModelError(
-                    f"allowed must return a truth value for each of {count:,} middles, not "
+                    f"allowed must return True or False for each of {count:,} cells, not "
                     f"{in_short(answer)}"
                 )
             there[:, k] = answer
@@ -407,29 +410,29 @@ class ContinuousModel:
         if idle.any():
             middle = [float(values[np.argmax(idle)]) for values in middles]
             raise ModelError(
-                f"no action is allowed in the cell about {middle}: allow one, or let the steps "
+                f"no action is allowed in the cell around {middle}: allow one, or let the steps "
                 "that lead there end in a dead-end"
             )
         return read_only(pairs[there.ravel()])
 
     @explained
     def end_state(self, end: str | int) -> int:
-        """Return the state of an end: "goal", a dead-end's label, or its number.
+        """Return the state that stands for an end: "goal", a dead-end's label, or its number.
 
         Raises:
             ModelError: no such end exists.
         """
         names = ("goal", *self.dead_ends)
         if isinstance(end, str) and end not in names:
-            raise ModelError(f"{end!r} is not an end; there are {', '.join(names)}")
+            raise ModelError(f"{end!r} is not an end; ends are {', '.join(names)}")
         number = names.index(end) + 1 if isinstance(end, str) else int(end)
         if not 1 <= number <= len(names):
-            raise ModelError(f"{end!r} is not an end; there are 1 .. {len(names)}")
+            raise ModelError(f"{end!r} is not an end; ends are 1 .. {len(names)}")
         return self.grid.n_cells + number - 1
 
 
 class _Taken(NamedTuple):
-    """Result of a step; every array has the points' dimensions and broadcasts to them."""
+    """Result of a step from many points; every array broadcasts to the shape of the points."""
 
     point: Coordinates
     heights: Coordinates  # in widths of a cell above the low ends; 0 if off the axis
@@ -450,7 +453,7 @@ def take_step_in_world(
         model: the world.
         point: an array for each axis, with as many dimensions as ``shape``, broadcasting to it.
         action: position of the action among the model's actions.
-        noise: an array for each random number, of such a shape.
+        noise: an array for each random number, shaped like those of ``point``.
         shape: common shape of the points.
 
     Raises:
@@ -513,7 +516,7 @@ def _read_world(
 
 
 def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[Any]:
-    """Return a value in the answer of a step function as an array with the points' dimensions."""
+    """Return an array from a step function with as many dimensions as ``shape``, checked."""
     array = np.asarray(answer)
     array = array.reshape((1,) * (len(shape) - array.ndim) + array.shape)
     fits = array.ndim == len(shape) and all(
@@ -530,12 +533,12 @@ def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> 
 @explained_class
 @dataclass(frozen=True, eq=False)
 class WorldSimulator:
-    """Simulator of the world itself: ``simulate(..., simulator=WorldSimulator(...))``.
+    """Simulator of the continuous world: ``simulate(..., simulator=WorldSimulator(...))``.
 
-    The episodes do not depend on the grid model, so the interval that ``simulate`` returns for the
-    probability of the goal (Clopper and Pearson's, exact for every probability and number of
-    episodes) holds for the policy in the world. A policy that gives up ends its episode, as a
-    failure.
+    Episodes are played by the step function, not in the discretised model. So the interval that
+    ``simulate`` returns for the probability of the goal holds for the policy in the continuous
+    world; it is that of Clopper and Pearson, exact for every number of episodes. An episode in
+    which the policy gives up ends as a failure.
 
     Attributes:
         world: the continuous model.
@@ -546,7 +549,7 @@ class WorldSimulator:
     start: Sequence[float | Distribution]
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` for no world, or a start with a wrong number of coordinates."""
+        """Raise :class:`ModelError` for another type, or a wrong number of start coordinates."""
         check_fields(self)
         axes = self.world.grid.axes
         if len(self.start) != len(axes):
@@ -561,7 +564,7 @@ class WorldSimulator:
             )
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
-        """Draw starts: coordinates, [episodes, axes], and cells, [episodes].
+        """Draw the starts of episodes: coordinates, [episodes, axes], and their cells, [episodes].
 
         Raises:
             ModelError: a start outside the box.
@@ -580,8 +583,8 @@ class WorldSimulator:
         """Take a step from coordinates, [k, axes], by pairs, [k].
 
         Returns:
-            The coordinates, those of periodic axes within the box, the states of the grid model,
-            and the costs, [k] each.
+            The new coordinates, [k, axes] (on a periodic axis moved into the box by whole
+            periods); the states of the discretised model, [k]; and the costs, [k].
         """
         model, grid = self.world, self.world.grid
         levels = rng.random((len(pair), len(model.noise)))

@@ -1,4 +1,4 @@
-"""Discretisation of a continuous world: trials of each cell and action, and their outcomes."""
+"""Discretisation of a continuous world: each action is tried from several points of each cell."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOST_POINTS = 1_000_000  # along one axis
 
 
 class _Trials(NamedTuple):
-    """Trials of a step in each cell: points in the cell and values of the noise."""
+    """Trials of a step from a cell: each has a point in the cell and values of the noise."""
 
     shape: tuple[int, ...]  # dimensions of the trials of one cell
     weights: FloatArray | None  # [trials], ordered as in shape; None: all equal
@@ -45,10 +45,9 @@ class Quadrature:
         points: number of points for each axis and each random number: one number for all, or one
             for each axis and then for each random number. Discrete noise takes its own values.
         rule: "midpoint": equal parts with a point in the middle of each, and equal weights.
-            "gauss-legendre": the nodes and weights of Gauss and Legendre, which are better if
-            smooth costs are averaged over a cell. The probability of a cell is an integral of a
-            function that jumps: midpoints are as accurate there, and they preserve symmetries
-            exactly.
+            "gauss-legendre": the nodes and weights of Gauss and Legendre, which average smooth
+            costs over a cell more accurately. For probabilities, which are integrals of functions
+            with jumps, midpoints are as accurate, and they preserve symmetries exactly.
     """
 
     points: int | Sequence[int] = 4
@@ -69,7 +68,7 @@ class Quadrature:
         noise = tuple(placed[len(axes) :])
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
-            """Return the nodes in some cells, and those of the noise."""
+            """Return the quadrature points in some cells, and the values of the noise."""
             index = zip(axes, model.grid.index_of(cells), placed, strict=False)
             return tuple(axis.low + (k + node) * axis.width for axis, k, node in index), noise
 
@@ -129,7 +128,7 @@ class Samples:
             raise ModelError(f"seed must be a number such as 0 or a generator, not {self.seed!r}")
 
     def trials(self, model: ContinuousModel) -> _Trials:
-        """Return the sample points, new ones at every call, in one dimension."""
+        """Return trials with random points and noise, drawn again at every call of ``draw``."""
         rng, axes = np.random.default_rng(self.seed), model.grid.axes
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
@@ -143,23 +142,22 @@ class Samples:
 
     @explained
     def deviation(self, pairs: int, reachable: int, confidence: float = 0.95) -> float:
-        """Return the error of a pair's sampled outcomes, as a sum of absolute differences.
+        """Return a bound of the L1 distance between sampled and true probabilities of a pair.
 
-        With at least this confidence, the sampled probabilities of all ``pairs`` lie within this
-        distance of the true ones (of a point that is uniform in the cell): theorem 2.1 of Weissman
-        et al. (2003) for one pair, and the union bound for all pairs.
+        With probability ``confidence`` the bound holds for all ``pairs`` jointly: theorem 2.1 of
+        Weissman et al. (2003) for each pair, and the union bound over pairs. The true probabilities
+        are those of a point that is uniform in the cell.
 
-        Then, for every policy at once, the failure probabilities in the true and in the sampled
-        grid model differ by at most half the deviation times the policy's expected number of steps
-        in the sampled model. (For a function with values in [0, 1] each step has an error of at
-        most half the distance.) The statement does not extend to the continuous world: see
-        ``simulate``.
+        If the bound holds, the failure probabilities of any policy in the true and in the sampled
+        grid model differ by at most half the bound times the policy's expected number of steps in
+        the sampled model (the mean of a function with values in [0, 1] changes by at most half the
+        L1 distance in each step). This does not extend to the continuous world: see ``simulate``.
 
         Args:
             pairs: number of sampled pairs.
             reachable: upper bound of the number of true successors of a pair, known beforehand. The
                 number seen in the samples may be too small; the number of states is always valid.
-            confidence: of the statement.
+            confidence: probability that the bound holds, in (0, 1).
 
         Raises:
             ModelError: a number out of range.
@@ -174,12 +172,13 @@ class Samples:
 
 
 def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Outcomes:
-    """Count the outcomes of trials of pairs.
+    """Return the outcomes of pairs, one for each distinct successor among the trials of a pair.
 
     Args:
         states: successor in each trial, [pairs, trials].
-        weights: of the trials, [trials]; None: all equal, and the counts are exact.
-        costs: a number, [pairs, 1] or [pairs, trials]; averaged over the trials of an outcome.
+        weights: weight of each trial, [trials]; None: equal weights, which are counted exactly.
+        costs: one number, [pairs, 1] or [pairs, trials]. The cost of an outcome is the mean over
+            its trials.
     """
     varies = costs.ndim == 2 and costs.shape[1] > 1
     n_trials, are_counted = states.shape[1], weights is None and not varies
@@ -317,7 +316,7 @@ def _rows_of_pairs(
     pairs: IntArray,
     progress: Callable[[int, int], None] | None,
 ) -> list[Outcomes]:
-    """Return the outcomes of ascending pairs, in blocks; those of equal pairs are computed once."""
+    """Return the outcomes of ascending pairs, in blocks; one pair is tried per ``alike`` group."""
     distinct, row_of_pair = _distinct_pairs(world, pairs)
     parts, size = list[Outcomes](), max(1, TRIALS // math.prod(trials.shape))
     for begin in range(0, len(distinct), size):
@@ -371,9 +370,9 @@ def _rows_of_action(
 
 
 def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, IntArray | None]:
-    """Return the first pair of each group of equal pairs, and for each pair the place of its group.
+    """Return the first pair of each group of ``alike``, and for each pair the number of its group.
 
-    All pairs and None if the world has no function ``alike``.
+    Without ``alike`` the result is all pairs, and None.
     """
     if world.alike is None or not len(pairs):
         return pairs, None
@@ -406,12 +405,12 @@ def _repeated_rows(
     row_of_pair: IntArray,
     most_checks: int = 30,
 ) -> Outcomes:
-    """Return the outcomes of all pairs from those of the distinct pairs.
+    """Return the outcomes of all pairs, copied from the first pair of each group of ``alike``.
 
-    Some pairs of groups of equals are recomputed as a check.
+    As a check, up to ``most_checks`` of the copied pairs are computed, too.
 
     Raises:
-        ModelError: a recomputed pair has other outcomes.
+        ModelError: the computed outcomes of a pair differ from the copied ones.
     """
     repeated = np.flatnonzero(distinct[row_of_pair] != pairs)
     checks = min(most_checks, len(repeated)) if trials.repeatable else 0
@@ -424,7 +423,7 @@ def _repeated_rows(
         ):
             cell, action = divmod(int(pairs[k]), len(world.actions))
             raise ModelError(
-                f"alike says that action {world.actions[action]!r} in cell {cell} has the "
-                "outcomes of another pair: correct alike, they differ"
+                f"alike groups action {world.actions[action]!r} in cell {cell} with a pair whose "
+                "outcomes differ: correct alike"
             )
     return found.rows(row_of_pair)

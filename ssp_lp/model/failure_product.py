@@ -2,9 +2,9 @@
 
 In the paper's augmented MDP (section 3.1.2) the states are (x, s) and (x, f). A run with the label
 f continues, without cost, to its true end. This product is built for a problem that counts
-quantities after failing: its states are (x, "before failing") and (x, "after failing"), and a step
-may set the label. In a dead-end every step sets it. In an attention state the policy may take an
-action that avoids the goal either alone or together with giving up.
+quantities after failing. Its states are (x, "before failing") and (x, "after failing"), and an
+action may change the label to the second. In a dead-end every action does. In an attention state
+each action that avoids the goal exists twice: plain, and with giving up, which changes the label.
 """
 
 from __future__ import annotations
@@ -42,13 +42,14 @@ GIVING_UP: Final = "give up"
 class FailureSSP(ProductSSP):
     """A model whose states are (state, failure label); see :func:`label_failing`.
 
-    State k of the model is state k here before failing, and state ``n + k`` after it.
+    With n states in the original model, state k is original state k before failing, and state
+    ``n + k`` is original state k after failing.
     """
 
     open_pairs: BoolArray = field(kw_only=True)  # [original pairs] that may be taken after failing
     stops: BoolArray = field(kw_only=True)  # [states] where giving up ends the run
     charged: BoolArray = field(kw_only=True)
-    """Pairs of which a state's cheapest is the charge of failing there, [original pairs]."""
+    """Pairs of which the cheapest in a state sets the charge of failing there, [original pairs]."""
     free_pairs: BoolArray = field(kw_only=True)  # [2, original pairs] before and after failing
     charges: bool = field(kw_only=True, default=False)  # whether failing costs anything
     original_pair: IntArray = field(kw_only=True)  # [pairs]
@@ -61,64 +62,64 @@ class FailureSSP(ProductSSP):
 
     @property
     def n_original(self) -> int:
-        """Number of states of the original, without the failure label."""
+        """Number of states of the original model, which has no failure label."""
         return self.original.n_states
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Outcome of the original of each outcome, [outcomes]."""
+        """Original outcome from which each outcome of the product is copied, [outcomes]."""
         return np.asarray(entries_of(self.original.outcome_offsets, self.original_pair)[0])
 
     @cached_property
     def is_open(self) -> BoolArray:
-        """States of the original from which a run goes on after failing, [original states]."""
+        """Mask of original states in which a run goes on after failing, [original states]."""
         counts = np.bincount(self.original.pair_state[self.open_pairs], minlength=self.n_original)
         return np.asarray(counts > 0)
 
     @cached_property
     def after(self) -> BoolArray:
-        """States with the label "after failing", [states]."""
+        """Mask of states with the label "after failing", [states]."""
         return np.repeat([False, True], self.n_original)
 
     @cached_property
     def lost(self) -> BoolArray:
-        """States without the failure label whose original is a dead-end, [states]."""
+        """Mask of states "before failing" whose original state is a dead-end, [states]."""
         dead = dead_ends(self.original)
         return np.append(dead, np.zeros_like(dead))
 
     @cached_property
     def ended(self) -> BoolArray:
-        """States in which a run is over without the goal, [states]."""
+        """Mask of states in which a run is over without the goal, [states]."""
         return (self.lost | self.after) & ~np.tile(self.is_open, 2)
 
     @cached_property
     def stop_marks(self) -> IntArray:
-        """End of a run that stops in each state, as a number, [states].
+        """Number of the end of a run that stops in each state, [states].
 
-        A dead-end's own number, otherwise the number of giving up (``graph.end_marks``).
+        It is the number of the dead-end or, elsewhere, of giving up (see ``graph.end_marks``).
         """
         marks, gave_up = end_marks(self.original), len(self.state_labels) + 2
         return np.tile(np.where(dead_ends(self.original), marks, gave_up), 2)
 
     @cached_property
     def end_marks(self) -> IntArray:
-        """End of a run in each state, as a number; -1: the run continues, [states]."""
+        """Number of a run's end in each state (``graph.end_marks``); -1: it continues, [states]."""
         return np.where(self.goal_mask, 0, np.where(self.ended, self.stop_marks, -1))
 
     @cached_property
     def priced(self) -> BoolArray:
-        """Pairs whose least cost in a state is the charge of failing there, [pairs]."""
+        """Mask of pairs of which a state's cheapest is the charge of failing there, [pairs]."""
         before = ~np.append(self.is_open, np.ones(self.n_original, dtype=np.bool_))
         return self.fails | (before[self.pair_state] & self.charged[self.original_pair])
 
     @cached_property
     def finite(self) -> tuple[BoolArray, BoolArray]:
-        """States from which some policy has finite counts after failing, and pairs that stay there.
+        """States from which some policy keeps all quantities finite, and the pairs it may use.
 
-        After failing a run may never end, and limited quantities are counted for ever.
+        After failing a run may never end, and quantities that are counted for ever are infinite.
 
         Returns:
-            [states] and [pairs].
+            Mask of the states, [states], and of the pairs that never lead out of them, [pairs].
         """
         over = self.ended | self.goal_mask | self.stops
         over[self.pair_state[self._staying]] = True
@@ -126,7 +127,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def _staying(self) -> BoolArray:
-        """Pairs that a run may take for ever with finite counts, [pairs]."""
+        """Mask of pairs that a run may repeat for ever without adding to any quantity, [pairs]."""
         going = ~self.ended & ~self.goal_mask
         failed = self.fails | self.after[self.pair_state]
         free = self.free_pairs[failed.astype(np.int64), self.original_pair]
@@ -134,28 +135,28 @@ class FailureSSP(ProductSSP):
 
     @property
     def staying_after(self) -> IntArray:
-        """Pairs of the original that may stay for ever after failing, [pairs]."""
+        """Original pairs that a failed run may repeat for ever without adding to any quantity."""
         return self.original_pair[self._staying & self.after[self.pair_state]]
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the pairs of this product for pairs of the original, -1: none, [entries].
+        """Return the product's pair in given states for original pairs; -1: none, [entries].
 
-        Before failing, these are the pairs of live states without giving up.
+        Before failing it is the plain pair, without giving up; in a dead-end it sets the label.
 
         Args:
-            states: of this model, [entries].
-            pairs: of the original, [entries].
+            states: states of the product, [entries].
+            pairs: original pairs, [entries].
         """
         taking = self.lost[states] & self.is_open[self.original_state[states]]
         return np.asarray(self._places[self.after[states] + 2 * taking, pairs])
 
     def giving_up_by(self, pairs: IntArray) -> IntArray:
-        """Return the pairs that take pairs of the original and give up, -1: none."""
+        """Return the product's pair for each original pair with giving up; -1: none, [entries]."""
         return np.asarray(self._places[2, pairs])
 
     @cached_property
     def _places(self) -> IntArray:
-        """Pair of each original pair: before failing, after failing, with giving up, [3, pairs]."""
+        """Copies of pairs: plain, after failing, setting the label, [3, original pairs]."""
         places = np.full((3, self.original.n_pairs), -1, dtype=np.int64)
         kind = np.where(self.fails, 2, self.after[self.pair_state].astype(np.int64))
         places[kind, self.original_pair] = np.arange(self.n_pairs)
@@ -169,12 +170,14 @@ class FailureSSP(ProductSSP):
     def spread_costs(
         self, costs: FloatArray, charge: FloatArray, *, through: bool = False
     ) -> FloatArray:
-        """Return the costs of the original as this product counts them, [outcomes].
+        """Return the costs of the product's outcomes from those of the original, [outcomes].
+
+        Costs end at the failure: the step that fails costs the charge, later steps cost nothing.
 
         Args:
             costs: [original outcomes].
             charge: cost of failing in each state in which a run goes on, [original states].
-            through: count all costs unchanged, also after failing, without a charge.
+            through: keep the original costs, also after failing, and charge nothing.
         """
         counted = costs[self.original_outcome]
         if through:
@@ -192,11 +195,11 @@ def label_failing(
 
     Args:
         model: the model.
-        open_pairs: pairs of dead-ends and attention states that may be taken after failing,
-            [pairs].
-        stops: where giving up ends the run, [states].
-        charged: pairs whose least cost in a state is the charge of failing there, [pairs].
-        free_pairs: pairs that add nothing to finite counts, before and after failing, [2, pairs].
+        open_pairs: mask of pairs, of dead-ends and attention states, that may be taken after
+            failing, [pairs].
+        stops: mask of states in which giving up ends the run, [states].
+        charged: mask of pairs; failing in a state is charged the cost of the cheapest, [pairs].
+        free_pairs: mask of pairs that add to no quantity, before and after failing, [2, pairs].
     """
     n, state = model.n_states, model.pair_state
     is_open = np.bincount(state[open_pairs], minlength=n) > 0
@@ -242,11 +245,11 @@ def label_failing(
 
 
 def check_label(model: SSP) -> FailureSSP:
-    """Return the model if it is a product with the failure label.
+    """Return the model, checked to be a product with the failure label.
 
     Raises:
-        ModelError: it is not.
+        ModelError: it is another model.
     """
     if model.failure_label is None:
-        raise ModelError("the policy does not go on after failing: its problem counts nothing then")
+        raise ModelError("the policy ends when it fails, as its problem counts nothing afterwards")
     return model.failure_label

@@ -1,6 +1,6 @@
 """The graph of a model or a process: successors, components, and reachability of the goal.
 
-Facts about a model are computed once and stored with it, for every problem on it.
+Facts about a model, such as its dead-ends, are computed once and stored with the model.
 """
 
 from __future__ import annotations
@@ -111,11 +111,11 @@ def possible_steps(
         outcome_offsets: [pairs + 1].
         successors: [outcomes].
         probabilities: [outcomes].
-        chosen: [pairs]; None: all.
+        chosen: mask of the pairs whose outcomes are used, [pairs]; None: all pairs.
 
     Returns:
-        For each pair the end of its entries, after a leading 0, [pairs + 1]; and the successors,
-        [entries].
+        Offsets: pair k has the edges ``offsets[k] : offsets[k + 1]``, [pairs + 1]; and the
+        successor of each edge, [edges].
     """
     check_time()
     kept = probabilities > 0
@@ -127,7 +127,7 @@ def possible_steps(
 
 
 def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
-    """Decorate a function of a model so that its arrays are computed once, read-only."""
+    """Decorate a function of a model: its result is stored with the model, arrays read-only."""
 
     @wraps(find)
     def _fact(model: SSP) -> Fact:
@@ -154,7 +154,8 @@ def hopeless_states(model: SSP) -> BoolArray:
 def dead_ends(model: SSP) -> BoolArray:
     """Return the dead-ends: hopeless states, in which a run ends without the goal, [states].
 
-    If quantities after failing count, dead-ends are only those hopeless states that end a run.
+    In a product with the failure label, dead-ends are only those hopeless states that end a run:
+    there a run may continue after failing.
     """
     label = model.failure_label
     return hopeless_states(model) if label is None else label.ended
@@ -164,7 +165,7 @@ def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
     """Return the states from which some policy may reach one of the given states, [states].
 
     Args:
-        ends: [states].
+        ends: mask of the given states, [states].
     """
     before, frontier = model.predecessors, ends.nonzero()[0]
     return reached_along(model.pair_state[before.pairs], before.offsets, frontier)
@@ -193,8 +194,9 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
     In rounds, states that cannot reach the goal are dropped, with all pairs that may lead to them.
 
     Returns:
-        The states, goals included, [states]; the pairs that stay among them, [pairs]; and for each
-        of the states such a pair that may lead nearer to the goal, -1 elsewhere, [states].
+        A mask of the states, goals included, [states]; a mask of the pairs that never leave them,
+        [pairs]; and the policy: for each state one of these pairs, which may lead nearer to the
+        goal, -1 at goals and elsewhere, [states].
     """
     hopeless = hopeless_states(model) if model.n_outcomes > _MANY_OUTCOMES else None
     return surely_ending(model, model.goal_mask, goal_pairs(model), hopeless)
@@ -203,7 +205,9 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
 def surely_ending(
     model: Graph, ends: BoolArray, leading: BoolArray, hopeless: BoolArray | None = None
 ) -> tuple[BoolArray, BoolArray, IntArray]:
-    """Return the states from which some policy ends surely; see :func:`surely_reaching`.
+    """Return the states from which some policy surely reaches an end, and a policy.
+
+    The results are those of :func:`surely_reaching`, with ``ends`` in place of the goals.
 
     Args:
         model: the graph.
@@ -234,10 +238,10 @@ def goal_pairs(model: SSP) -> BoolArray:
 
 
 def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
-    """Return the pairs that may lead to one of some states, [pairs].
+    """Return the pairs that may lead to one of the given states, [pairs].
 
     Args:
-        states: [states].
+        states: mask of the given states, [states].
     """
     check_time()
     ends = narrow(model.outcome_offsets)
@@ -256,12 +260,12 @@ def attention_pairs(model: SSP, attention: BoolArray) -> BoolArray:
 
 
 def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> BoolArray:
-    """Return the states reachable from the start along edges, by scipy, [states].
+    """Return a mask of the states that can be reached from the start along edges, [states].
 
     Args:
         columns: target of each edge, [edges].
-        offsets: of each state's edges, [states + 1].
-        start: states in which the search begins; a node added to the graph is linked to them.
+        offsets: state s has the edges ``offsets[s] : offsets[s + 1]``, [states + 1].
+        start: indices of the states in which the search begins.
     """
     n_states = len(offsets) - 1
     linked = np.concatenate([columns, np.asarray(start, dtype=columns.dtype)])
@@ -274,7 +278,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 
 
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
-    """Return the matrix of a graph for scipy's searches; its weights take no memory."""
+    """Return the adjacency matrix of a graph for scipy, all of whose weights share one number."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape, offsets = (len(offsets) - 1, len(offsets) - 1), narrow(offsets)
     return csr_of(weights, columns.astype(offsets.dtype, copy=False), offsets, shape)
@@ -282,14 +286,14 @@ def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
 
 @kept
 def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
-    """Return the pair of each state that leads nearer to the goal, and the least number of steps.
+    """Return a pair of each state that may lead nearer to the goal, and the distance in steps.
 
     Args:
         model: the model.
 
     Returns:
-        The pairs, -1 at goals and where no goal can be reached, and the numbers of steps to the
-        goal, [states] each.
+        The pairs, -1 at goals and where no goal can be reached, [states]; and the least numbers of
+        steps to a goal, [states].
     """
     distance = np.zeros(model.n_states, dtype=np.int32)
     choice = nearer_pairs(model, goal_pairs(model), distance=distance)
@@ -303,18 +307,20 @@ def nearer_pairs(
     usable: BoolArray | None = None,
     distance: IntArray | None = None,
 ) -> IntArray:
-    """Return the pair of each state that may lead nearer to a leaving pair.
+    """Return a pair of each state on a shortest path to one of the target pairs ``leaving``.
 
-    A state with a leaving pair takes that pair; among pairs that lead equally near, the first one.
+    A state that has a target pair takes it. Of several pairs at the least distance the first one is
+    taken.
 
     Args:
-        graph: of a model, or of a process.
-        leaving: mask of the leaving pairs, [pairs].
-        usable: pairs that may be taken, leaving ones included, [pairs]; None: all.
-        distance: zeros, overwritten: steps before a leaving pair is taken, [states] int32.
+        graph: graph of a model, or of a process.
+        leaving: mask of the target pairs, [pairs].
+        usable: mask of the pairs that may be taken, also as targets, [pairs]; None: all.
+        distance: array of zeros that is overwritten with the number of steps before a target pair
+            is taken, [states] int32.
 
     Returns:
-        The pair taken in each state; -1 where no leaving pair can be reached, [states].
+        The pair of each state; -1 where no target pair can be reached, [states].
     """
     before, pair_state, n = graph.predecessors, graph.pair_state, graph.n_states
     choice = np.full(n, -1, dtype=np.int64)
@@ -363,9 +369,9 @@ def drain(
     """Close the pairs that may lead to a closed state, then states with no pair left, and so on.
 
     Args:
-        open_pairs: [pairs].
-        open_counts: the number of open pairs of each state, [states].
-        closed_states: first closed states, which have no open pairs.
+        open_pairs: mask of the open pairs, changed in place, [pairs].
+        open_counts: number of open pairs of each state, changed in place, [states].
+        closed_states: indices of the states that are closed first; they have no open pairs.
     """
     if not closed_states.size:
         return
@@ -394,7 +400,7 @@ def drain(
 def _drain_one_by_one(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> IntArray:
-    """Drain a graph state by state while few are waiting; return the waiting states."""
+    """Continue :func:`drain` state by state until many states wait; return the waiting states."""
     before, waiting = model.predecessors, deque(closed_states.tolist())
     is_open, counts = open_pairs.data, open_counts.data  # faster entry by entry
     home_of, offsets = model.pair_state.data, before.offsets.data
@@ -423,10 +429,10 @@ def close_pairs(
 
 
 def end_marks(model: SSP) -> IntArray:
-    """Return how a run in each state ends, as a number; -1: it continues, [states].
+    """Return the number of the end of a run in each state; -1: the run continues, [states].
 
-    0 is the goal, 1 .. k the model's labels in their order (at dead-ends that bear them; the
-    first label counts), k + 1 a dead-end without a label; k + 2 having given up before.
+    With k state labels in the model: 0 is the goal; 1 .. k are dead-ends with a label, numbered by
+    their first label; k + 1 is a dead-end without a label; k + 2 is having given up.
     """
     if model.failure_label is not None:
         return model.failure_label.end_marks
@@ -439,9 +445,9 @@ def end_marks(model: SSP) -> IntArray:
 
 
 def stop_marks(model: SSP) -> IntArray:
-    """Return how a run that stops in each state ends, as a number, [states].
+    """Return the number of the end of a run that the policy stops in a state, [states].
 
-    Numbers as in :func:`end_marks`; k + 2 is having given up.
+    The numbers are those of :func:`end_marks`; k + 2 is having given up.
     """
     if model.failure_label is not None:
         return model.failure_label.stop_marks
@@ -449,12 +455,12 @@ def stop_marks(model: SSP) -> IntArray:
 
 
 def dead_end_labels(model: SSP) -> frozenset[Hashable]:
-    """Return the labels of the dead-ends X_{d,all} by the graph: no policy reaches the goal."""
+    """Return the labels of the dead-ends X_{d,all}, from which no policy reaches the goal."""
     return frozenset(model.states[i] for i in dead_ends(model).nonzero()[0].tolist())
 
 
 def attention_labels(model: SSP) -> frozenset[Hashable]:
-    """Return the labels of the attention states X_{d,or}: some policy surely avoids the goal."""
+    """Return the labels of the attention states X_{d,or}: there a policy surely avoids the goal."""
     return frozenset(model.states[i] for i in attention_states(model).nonzero()[0].tolist())
 
 
@@ -471,8 +477,8 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
         allowed: pairs that may be part of a component, in which no run ends, [pairs].
 
     Returns:
-        The component of each state, numbered from 0 in the order of their first states, and -1
-        outside of all, [states]; and the pairs that lie inside a component, [pairs].
+        The component of each state, [states], numbered from 0 in the order of their first states,
+        -1 for a state in no component; and a mask of the pairs inside a component, [pairs].
     """
     inside = allowed.copy()
     component = np.full(model.n_states, -1, dtype=np.int64)

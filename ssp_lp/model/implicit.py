@@ -1,9 +1,9 @@
 """The explored part of an implicit model: the states found so far, and a solvable model of them.
 
-Each state of the fringe (found, but not expanded) has two ways out. "Arrive" reaches the goal with
-probability 1 - failure bound at the cost bound, "fail" is lost at no cost. No real continuation
-does better than a mixture of the two, so a bound of the explored part is a bound of the whole
-model.
+Each state of the fringe (found, but not expanded) has two actions. "Arrive" pays the state's cost
+bound and reaches the goal with probability 1 - failure bound. "Fail" never reaches the goal, at no
+cost. No continuation in the whole model is better than a mixture of the two, so a bound of the
+explored part's optimum is a bound of the whole model's optimum.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from ssp_lp.model.ssp import SSP, UNEXPLORED, FlatModel, ImplicitSSP
 from ssp_lp.model.state_rows import Outcomes, joined_outcomes
 
 BEYOND, LOST = "(a goal beyond)", "(lost beyond)"
-"""States of the explored part in which the ways out of its fringe end."""
+"""Added states of the explored part, in which the actions of its fringe end."""
 
 ARRIVE, FAIL = "(arrive)", "(fail)"
-"""Actions of states that are not expanded, and of those that may be dead-ends."""
+"""Added actions: both in states of the fringe, the second where a dead-end is possible."""
 
 
 _NO_BOUNDS: Mapping[str, float] = {}
@@ -45,16 +45,17 @@ _NOTHING: Any = None  # until the arrays of the model have been checked
 class ExploredSSP(SSP):
     """The explored part of an implicit model.
 
-    Its states are, in this order: expanded states, the fringe, goals, and the two ends.
+    Its states are, in this order: the expanded states, the fringe, the goals, and two added states
+    in which the actions "arrive" (a goal) and "fail" of the fringe end.
     """
 
     whole: ImplicitSSP = field(kw_only=True, default=_NOTHING)
     n_expanded: int = field(kw_only=True, default=0)
     n_live: int = field(kw_only=True, default=0)  # expanded states and the fringe, which come first
     numbers: IntArray = field(kw_only=True, default=_NOTHING)
-    """States in the order of finding, [expanded states, fringe, goals]."""
+    """Number (in the order of finding) of each expanded state, fringe state and goal."""
     may_end: BoolArray = field(kw_only=True, default=_NOTHING)
-    """Expanded states with a further way "fail": they reach the goal through the fringe only."""
+    """Mask of expanded states with the added action "fail"; see :meth:`Exploration.part`."""
     least_cost: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] cost bounds
     least_failure: FloatArray = field(kw_only=True, default=_NOTHING)  # [live] failure bounds
 
@@ -65,7 +66,7 @@ class ExploredSSP(SSP):
         return np.asarray((place >= self.n_expanded) & (place < self.n_live))
 
     def hint(self, state: Hashable) -> str:
-        """Return a clause for errors: an unknown state may not have been explored."""
+        """Return a hint for errors: an unknown state may not have been explored."""
         return f", or was not explored{super().hint(state)}"
 
     def explored(self) -> SSP:
@@ -124,7 +125,7 @@ class Exploration:
         self._look_at([0.0] * len(self.flat.states))
 
     def grow(self, wanted: Iterable[int], most: float) -> None:
-        """Expand the given states, then those with the least cost paid plus cost bound.
+        """Expand the given states, then states in the order of A*: least cost so far plus bound.
 
         Args:
             wanted: numbers of states.
@@ -209,7 +210,7 @@ class Exploration:
         return list(answers.tolist())
 
     def _append_many(self, numbers: list[int]) -> None:
-        """Append the actions of states to the model, by one call of the successor function."""
+        """Append the actions of several states, by one call of a vectorised successor function."""
         flat = self.flat
         states = np.array([flat.states[k] for k in numbers], dtype=np.int64)
         told = {k: np.asarray(v) for k, v in self.whole.expand(states).items()}
@@ -235,10 +236,10 @@ class Exploration:
         """Return the explored part as a model.
 
         Args:
-            survival: factor of every step, under a discount.
-            may_end: whether expanded states that reach the goal only through the fringe may be
-                dead-ends after all; failing is free in them unless ``charged``.
-            charged: whether such a dead-end costs its cheapest action.
+            survival: discount factor; 1 without a discount.
+            may_end: whether an expanded state that reaches the goal only through the fringe may
+                turn out to be a dead-end; it then has a further action "fail".
+            charged: whether this action costs as much as the state's cheapest action; else 0.
         """
         is_goal = np.array(self.is_goal, dtype=np.bool_)
         fringe = np.flatnonzero(~np.array(self.is_expanded, dtype=np.bool_))
@@ -288,7 +289,7 @@ class Exploration:
         """Return the actions of the expanded states.
 
         Args:
-            rows: position in the explored part of each state found, [states found].
+            rows: position of each found state in the explored part, [states found].
         """
         flat = self.flat.arrays
         counts, lengths = np.diff(flat["pair_offsets"]), np.diff(flat["outcome_offsets"])
@@ -304,10 +305,10 @@ class Exploration:
         """Return the action "fail" of expanded states that reach the goal only through the fringe.
 
         Args:
-            own: actions of the expanded states, which come first.
-            numbers: of all states found, in the order of the explored part.
-            n_live: number of the expanded states and the fringe; the goals come last.
-            charged: whether failing costs a state's cheapest action.
+            own: actions of the expanded states, which are the first states.
+            numbers: numbers of all found states, in the order of the explored part.
+            n_live: number of states before the goals: the expanded ones and the fringe.
+            charged: whether "fail" costs as much as the state's cheapest action; else 0.
         """
         lengths, targets, chances, costs = own.outcomes
         pairs = offsets_of(np.bincount(own.owner, minlength=numbers.size))
@@ -327,13 +328,13 @@ class Exploration:
     def _ways_out(
         self, fringe: IntArray, n_expanded: int, survival: float, names: list[str]
     ) -> _Ways:
-        """Return the two ways out of each state of the fringe: "arrive" at its bounds, and "fail".
+        """Return the actions "arrive" and "fail" of each state of the fringe.
 
         Args:
-            fringe: numbers of the states, which come after the expanded ones.
-            n_expanded: number of these.
-            survival: factor of the step.
-            names: of costs.
+            fringe: numbers of the states of the fringe, which follow the expanded states.
+            n_expanded: number of expanded states.
+            survival: discount factor, by which the cost bound is multiplied.
+            names: names of the costs.
         """
         beyond = len(self.is_goal)
         fails = np.array(self.failure_bounds)[fringe]

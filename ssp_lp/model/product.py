@@ -49,12 +49,12 @@ Label = tuple[Hashable, Hashable]
 
 
 def _always_in_product(memory: Any) -> bool:
-    """Accept every memory of a product."""
+    """Return True: by default reaching a goal is a success with every memory."""
     return True
 
 
 def _never_in_product(memory: Any) -> bool:
-    """Fail with no memory of a product."""
+    """Return False: by default an episode fails with no memory."""
     return False
 
 
@@ -66,7 +66,8 @@ class Memory:
     Args:
         start: initial memory; any hashable.
         update: ``(memory, state, action, successor, cost) -> memory`` after each step.
-        accepts: whether reaching a goal with this memory is a success; else it is a dead-end.
+        accepts: whether reaching a goal with this memory is a success; otherwise the goal becomes
+            a dead-end.
         fails: whether an episode fails as soon as it has this memory.
 
     Example:
@@ -91,7 +92,7 @@ class Memory:
 
 @dataclass(frozen=True)
 class ProductStates(Sequence[Label]):
-    """The states (state, memory) of a product, as a sequence that makes them on access."""
+    """The states (state, memory) of a product: a sequence that makes each tuple on access."""
 
     names: Sequence[Hashable]  # the original's states
     memories: tuple[Hashable, ...]
@@ -115,8 +116,9 @@ class ProductStates(Sequence[Label]):
 class ProductSSP(SSP):
     """A model whose states are (state, memory); see :func:`product`.
 
-    Actions are those of the original, in their order; a state has none if the episode is over:
-    at goals, where the memory fails, and at goals of the original that it does not accept.
+    A state has the actions of its original state, in their order, or no actions if the episode is
+    over: at a goal, at a goal of the original that the memory does not accept, or where the memory
+    fails.
     """
 
     original: SSP = field(kw_only=True)
@@ -147,7 +149,7 @@ class ProductSSP(SSP):
         """Return the index of the memory with which episodes begin, [episodes].
 
         Args:
-            states: of the original, in which the episodes begin, [episodes].
+            states: original states in which the episodes begin, [episodes].
         """
         return np.zeros(len(states), dtype=np.int64)
 
@@ -158,12 +160,12 @@ class ProductSSP(SSP):
 
     @property
     def original_state(self) -> IntArray:
-        """State of the original of each state of the product, [states]."""
+        """Original state of each state of the product, [states]."""
         return self.labels.state
 
     @property
     def memories(self) -> tuple[Hashable, ...]:
-        """Memories that occur in the product, beginning with the one at the start.
+        """Memories that occur in the product, the initial one first.
 
         With a horizon these are counts of steps, and :data:`LATE`.
         """
@@ -171,32 +173,32 @@ class ProductSSP(SSP):
 
     @cached_property
     def original_pair(self) -> IntArray:
-        """Pair of the original of each pair of the product, [pairs]."""
+        """Original pair of each pair of the product, [pairs]."""
         first = self.original.pair_offsets[self.original_state] - self.pair_offsets[:-1]
         return np.asarray(np.arange(self.n_pairs) + first[self.pair_state])
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Original outcome of each outcome of the product, [outcomes]; possible ones only."""
+        """Original outcome of each of the product's outcomes, all of them possible, [outcomes]."""
         possible = np.flatnonzero(self.original.probabilities > 0.0)
         offsets = np.searchsorted(possible, self.original.outcome_offsets)
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the pairs of the product for pairs of the original, [entries].
+        """Return the pairs of the product in given states for original pairs, [entries].
 
         Args:
-            states: of the product, [entries].
-            pairs: of the original, in the original state of each entry, [entries].
+            states: states of the product, [entries].
+            pairs: original pairs, each belonging to the original of its state, [entries].
         """
         shift = self.pair_offsets[states] - self.original.pair_offsets[self.original_state[states]]
         return np.asarray(pairs + shift)
 
     def at(self, states: IntArray, numbers: IntArray) -> IntArray:
-        """Return the product's states for states of the original and memories, [entries].
+        """Return the product's states for original states and memories, [entries].
 
         Args:
-            states: of the original, [entries].
+            states: original states, [entries].
             numbers: indices of the memories, [entries].
 
         Raises:
@@ -215,9 +217,9 @@ class ProductSSP(SSP):
         """Return the states of the product after steps, [episodes].
 
         Args:
-            pairs: of the product, [episodes].
-            successors: of the original, [episodes].
-            costs: of the steps, [episodes].
+            pairs: pairs of the product that are taken, [episodes].
+            successors: original states that are reached, [episodes].
+            costs: costs of the steps, [episodes].
 
         Raises:
             ModelError: a step leads to a memory that the product does not have.
@@ -231,7 +233,7 @@ class ProductSSP(SSP):
             step = kept, state, self.action_of(pair), there, cost
             if (after := update(*step)) not in self.memory_number:
                 told = f"the step from {state!r} by {step[2]!r} to {there!r} at cost {cost:g}"
-                other = f"the memory {after!r}, which the product does not have"
+                other = f"the memory {after!r}, which the product lacks: is it a step of the model?"
                 raise ModelError(f"{told} leads to {other}")
             return self.memory_number[after]
 
@@ -242,8 +244,8 @@ class ProductSSP(SSP):
         """Return the product's successor and outcome for each original outcome, [entries] each.
 
         Args:
-            pairs: of the product, [entries].
-            outcomes: of the original model, each of the pair that its product pair comes from.
+            pairs: pairs of the product, [entries].
+            outcomes: outcome of the original of each pair, [entries].
         """
         possible = np.cumsum(self.original.probabilities > 0.0)
         first = self.original.outcome_offsets[self.original_pair[pairs]]
@@ -252,7 +254,7 @@ class ProductSSP(SSP):
         return self.successors[place].astype(np.int64), place
 
     def places_of(self, state: Hashable) -> IntArray:
-        """Return the state of the product with this label, or all of them for an original state.
+        """Return the product's state with a label; for an original state, all its product states.
 
         Raises:
             ModelError: neither the product nor the original has a state with the label.
@@ -264,7 +266,7 @@ class ProductSSP(SSP):
         return np.asarray(copies[copies >= 0])
 
     def hint(self, state: Hashable) -> str:
-        """Return a clause for the error of a product about an unknown state."""
+        """Return a hint for the error about an unknown state."""
         if self.original.find(state) is None:
             return super().hint(state)
         return f": its states are (state, memory), start({state!r}) is the initial one"
@@ -282,7 +284,7 @@ class ProductSSP(SSP):
         return read_only(table)
 
     def find(self, state: Hashable) -> int | None:
-        """Return the index of the product's state (state, memory), or None."""
+        """Return the index of a state (state, memory); None if the product does not have it."""
         if not (isinstance(state, tuple) and len(state) == 2):
             return None
         here = self.original.find(state[0])
@@ -377,7 +379,7 @@ def product(
     goal[refused] = [bool(memory.accepts(kept[k])) for k in number[refused].tolist()]
     refused &= ~goal
     if not goal.any():
-        raise ModelError("no goal that the memory accepts can be reached from the start")
+        raise ModelError("no run from the start reaches a goal with a memory that it accepts")
     return ProductSSP(
         **fields,
         states=ProductStates(names, tuple(numbers), read_only(state), read_only(number)),
@@ -429,14 +431,14 @@ def unfold(
         n_found += new.size
         if n_found > state_limit:
             told = f"more than state_limit={state_limit:,} states are reachable"
-            raise ModelError(f"{told}; raise the limit or bound the memory")
+            raise ModelError(f"{told}: raise the limit or bound the memory")
         number, state = np.divmod(new, n)
         goes_on = ~is_over(state, number)
         width = widths[state] * goes_on
         outcomes = possible[concatenated_ranges(first[state], width)]
         moved = after(np.repeat(number, width), outcomes)
         if (room := (int(moved.max(initial=0)) + 1) * n) > MOST_PLACES:
-            raise ModelError(f"{room // n:,} memories on {n:,} states are too many")
+            raise ModelError(f"{room // n:,} memories on {n:,} states are too many: use fewer")
         target = moved.astype(np.int32, copy=False) * np.int32(n) + model.successors[outcomes]
         rounds.append((state, number, goes_on, outcomes, target))
         if room > places.size:
@@ -474,10 +476,10 @@ def labels_in_product(
 
 
 def check_product(model: SSP) -> ProductSSP:
-    """Return the model if it is a product.
+    """Return the model, checked to be a product.
 
     Raises:
-        ModelError: it is not.
+        ModelError: it is another model.
     """
     if not isinstance(model, ProductSSP):
         raise ModelError("the policy's model is not a product: make one by product(model, memory)")
@@ -578,8 +580,8 @@ def unroll_steps(
         model: the model.
         steps: number of steps, >= 1.
         begin: states in which episodes may begin; None: all.
-        survive: labels of states that end surviving, if taking all steps is success; None: taking
-            all steps is failure.
+        survive: labels of states in which an episode fails, if taking all steps is success; None:
+            taking all steps is failure.
 
     Raises:
         ModelError: states times steps are too many.
@@ -593,7 +595,7 @@ def unroll_steps(
         )
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the numbers of steps after outcomes, [entries]; a run is late after the last."""
+        """Return the numbers of steps after outcomes, [entries]; steps + 1: late, out of time."""
         if not (before == steps - 1).any():
             return before + 1
         return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round

@@ -18,11 +18,11 @@ _FACT = "name", "value", "note"  # columns of a table of facts, which has no pri
 
 
 class ByName(dict[str, _Value]):
-    """Values by name, whose KeyError suggests a name for an unknown one."""
+    """Dict whose KeyError for an unknown name suggests a similar one."""
 
     def __missing__(self, name: object) -> _Value:
-        """Raise :class:`KeyError`."""
-        raise KeyError(f"there is no {name!r} here{did_you_mean(name, self, 'there are')}")
+        """Raise :class:`KeyError` with the nearest name."""
+        raise KeyError(f"there is no entry {name!r}{did_you_mean(name, self, 'there are')}")
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Table:
         ]
 
     def _cell(self, name: str, value: Any) -> str:
-        """Return the text of a value of a column or a fact."""
+        """Return the text of a value of the column, or of the fact, with this name."""
         if value is None or value != value:
             return "-"
         if isinstance(value, float):
@@ -135,7 +135,7 @@ class Report:
 
     @abstractmethod
     def tables(self) -> Sequence[Table]:
-        """Return the tables of the result, each declared once."""
+        """Return the tables of the result; all other forms are made from them."""
 
     def summary(self) -> str:
         """Return the text of all tables."""
@@ -159,7 +159,7 @@ class Report:
 
 
 class Facts(Report):
-    """Mix-in of results that are one table of facts: a line as repr, several as summary."""
+    """Mix-in of results that are one table of facts: one line in repr, all lines in summary."""
 
     def __repr__(self) -> str:
         """Return the facts in a line."""

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from ssp_lp.model.failure_product import FailureSSP
 
 Costs = float | Mapping[str, float]
-"""Cost of an outcome: a number, or numbers by name, of which the model counts one."""
+"""Cost of an outcome: a number, or numbers by name, one of which is the model's own cost."""
 
 Outcomes = Iterable[tuple[float, Hashable, Costs]]
 
@@ -93,12 +93,12 @@ class SSP(Graph, ReadOnlyCopies):
     state_labels: Mapping[str, IntArray]  # label -> state indices; for reports only
     exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
     named_costs: Mapping[str, FloatArray] = field(kw_only=True, default_factory=dict)
-    """Costs by name, [outcomes] each, ``costs`` among them if it has a name, for
-    ``secondary_cost("fuel")``."""
+    """Costs by name, [outcomes] each, for ``secondary_cost("fuel")``; with ``costs``, if that has a
+    name."""
     counts: FloatArray | None = field(kw_only=True, default=None)
     """Count of each outcome, [outcomes]; None: the model was not made of counts."""
     parameters: Mapping[str, PlacedParameter] = field(kw_only=True, default_factory=dict)
-    """Parameters of the expressions for probabilities and costs, by name."""
+    """Parameters on which probabilities and costs depend, by name."""
 
     @classmethod
     @explained
@@ -118,12 +118,12 @@ class SSP(Graph, ReadOnlyCopies):
         Args:
             transitions: every state that is not a goal must be a key, unless states without
                 actions are accepted. Actions of a goal state are ignored: the episode ends there. A
-                cost may be several by name, ``{"time": 4.0, "fuel": 1.5}``, with the same names
-                everywhere. Probabilities and costs may be expressions of a
+                cost may be a dict of named costs, ``{"time": 4.0, "fuel": 1.5}``, with the same
+                names everywhere. Probabilities and costs may be expressions of a
                 :class:`ssp_lp.Parameter`.
             goal: the labels of the goal states.
-            cost: name of the model's own cost, if there are several; ``secondary_cost("fuel")``
-                limits another one.
+            cost: if costs have names, the name of the model's own cost, which problems minimise;
+                ``secondary_cost("fuel")`` limits another one.
             state_labels: names for sets of states ("wall"), used in reports and limits; each with
                 its states, or a predicate on states.
             dead_ends: states from which no action reaches the goal, given by their labels or by a
@@ -192,9 +192,9 @@ class SSP(Graph, ReadOnlyCopies):
         Args:
             start: a state, or a list or set of states, to explore from.
             successors: maps a state to ``{action: [(probability, successor, cost), ...]}``, where
-                the cost may be several by name, as in :meth:`from_transitions`.
+                the cost may be a dict of named costs, as in :meth:`from_transitions`.
             goal: a predicate on states, or the goal states.
-            cost: name of the model's own cost, of several.
+            cost: if costs have names, the name of the model's own cost.
             state_limit: greatest number of states; more raise an error.
             progress: called at intervals with the number of states found so far.
             state_labels: names for sets of states, as in ``from_transitions``.
@@ -262,15 +262,15 @@ class SSP(Graph, ReadOnlyCopies):
         Args:
             start: a state, or a list or set of states, in which episodes may begin.
             successors: maps a state to ``{action: [(probability, successor, cost), ...]}``, where
-                the cost may be several by name, as in :meth:`from_transitions`; it must return the
-                same at every call.
+                the cost may be a dict of named costs, as in :meth:`from_transitions`. Calls with
+                equal states must return equal results.
             goal: a predicate on states, or the goal states.
-            cost: name of the model's own cost, of several.
+            cost: if costs have names, the name of the model's own cost.
             cost_bound: maps a state to a lower bound of ``E[cost; goal] / Pr(goal)`` of *every*
                 policy from there, also of one that fails often: the least cost of a path to the
-                goal is such a bound, and so is h_max; the optimum of ``MinCost`` is not. Infinite
-                where no policy reaches the goal. It may be ``{name: bound}`` if costs have names.
-                None: 0.
+                goal is such a bound, and so is h_max; the optimum of ``MinCost`` is not. The bound
+                is infinite where no policy reaches the goal. If costs have names, it may be
+                ``{name: bound}``. None: 0.
             failure_bound: maps a state to a lower bound of the failure probability of every policy
                 from there, never discounted. None: 0.
             growth: factor by which the explored part grows from round to round, above 1; if
@@ -347,7 +347,8 @@ class SSP(Graph, ReadOnlyCopies):
             cost: the column of the cost, or several columns: the first one is the model's own cost,
                 and each can be limited, ``secondary_cost("fuel") <= 3``.
             state_labels: names for sets of states, as in ``from_transitions``.
-            dead_ends: all states without rows that are not goals; any other such state is an error.
+            dead_ends: the states without rows that are not goals; if one is missing here, that is
+                an error. None: all are accepted.
             normalise: divide probabilities by their sum if it misses 1 by at most 1e-5.
 
         Raises:
@@ -381,12 +382,12 @@ class SSP(Graph, ReadOnlyCopies):
         cost: str | Sequence[str],
         options: Mapping[str, Any],
     ) -> SSP:
-        """Build a model from rows (state, action, successor, probability, cost by cost).
+        """Build a model from rows of outcomes.
 
         Args:
-            rows: a row for each outcome.
+            rows: a row for each outcome: state, action, successor, probability, then its costs.
             goal: the goal states.
-            cost: the name of the cost, or of several.
+            cost: the name of the cost, or a list of the names of several costs.
             options: further arguments of :meth:`from_transitions`.
         """
         transitions: dict[Hashable, dict[Hashable, list[tuple[float, Hashable, Costs]]]] = {}
@@ -417,9 +418,9 @@ class SSP(Graph, ReadOnlyCopies):
     ) -> SSP:
         """Build a model from counted outcomes: probabilities are relative frequencies.
 
-        Rows of one outcome are added up. ``Boxes.from_counts(model)`` gives an interval for each
-        probability, ``posterior_draws(model, 100, seed=0)`` gives models that are likely by the
-        counts.
+        The counts of rows of the same outcome are added up. ``Boxes.from_counts(model)`` gives an
+        interval for each probability. ``posterior_draws(model, 100, seed=0)`` draws models that are
+        likely given the counts.
 
         Args:
             table: a frame or a dict of columns, as in :meth:`from_frame`, or rows ``(state,
@@ -430,9 +431,9 @@ class SSP(Graph, ReadOnlyCopies):
             successor: the column of the next state, or as many as ``state`` has.
             count: the column of the outcome's count, a whole number >= 0. A successor that is
                 possible but was never seen needs a row of count 0.
-            cost: the column of the cost, or of several, as in :meth:`from_frame`.
+            cost: the column of the cost, or several columns, as in :meth:`from_frame`.
             state_labels: names for sets of states, as in ``from_transitions``.
-            dead_ends: all states without rows that are not goals; any other such state is an error.
+            dead_ends: the states without rows that are not goals, as in :meth:`from_frame`.
 
         Raises:
             ModelError: as in :meth:`from_frame`, a count that is not a whole number >= 0, or an
@@ -492,10 +493,10 @@ class SSP(Graph, ReadOnlyCopies):
         """Build a model from a CSV file: a row of column names, then a row for each outcome.
 
         Args:
-            path: the file. States and actions are its words; numbers may be fractions such as 1/3.
+            path: the file. States and actions are strings; numbers may be fractions such as 1/3.
             goal: the goal states.
             probability: the column of the probability.
-            cost: the column of the cost, or of several, as in :meth:`from_frame`.
+            cost: the column of the cost, or several columns, as in :meth:`from_frame`.
             options: further arguments of :meth:`from_frame`.
 
         Raises:
@@ -550,9 +551,10 @@ class SSP(Graph, ReadOnlyCopies):
             actions: [pairs] labels of the actions; None: their position within the state.
             state_labels: names for sets of states, as in ``from_transitions``.
             exact_costs: float cost -> the fraction that it stands for, such as 1/3; other costs
-                stand for their shortest decimal. They determine the lattice of accumulated costs.
-            named_costs: costs by name, each as ``costs`` is given, for ``secondary_cost("fuel")``.
-            parameters: named numbers on which probabilities and costs depend, with slopes.
+                stand for their shortest decimal. The exact costs determine which accumulated costs
+                can occur.
+            named_costs: costs by name, in the forms of ``costs``, for ``secondary_cost("fuel")``.
+            parameters: parameters by name, with the derivatives of probabilities and costs.
             dead_ends: labels of states from which no action reaches the goal, or a predicate on
                 labels. Any other state without pairs that is not a goal is then an error.
             treat_actionless_as_dead_ends: without ``dead_ends``, accept all states without pairs
@@ -607,7 +609,7 @@ class SSP(Graph, ReadOnlyCopies):
         return model
 
     def with_cost(self, name: str) -> SSP:
-        """Return the same model with another of its named costs as its own.
+        """Return the model with one of its named costs as the cost that problems minimise.
 
         Raises:
             ModelError: the model has no cost of this name.
@@ -618,7 +620,7 @@ class SSP(Graph, ReadOnlyCopies):
         """Return the same model with other values of its parameters.
 
         Args:
-            values: by name; the other parameters keep their values.
+            values: new values by name; the other parameters keep their values.
 
         Raises:
             ModelError: an unknown parameter, a value that is not a number, or a probability or cost
@@ -649,12 +651,12 @@ class SSP(Graph, ReadOnlyCopies):
         costs: Mapping[tuple[str, int], float],
         step: float,
     ) -> SSP:
-        """Return a copy of the model with changed numbers, without checks.
+        """Return the model with numbers changed by ``step`` times a derivative, without checks.
 
         Args:
-            probabilities: derivative of each by the step, by outcome.
-            costs: derivatives, by name (of ``costs_by_name``) and outcome.
-            step: length of the step.
+            probabilities: outcome -> derivative of its probability.
+            costs: (name of a cost, as in ``costs_by_name``; outcome) -> derivative of the cost.
+            step: factor of all derivatives.
         """
         chances, every = self.probabilities.copy(), dict(self.costs_by_name)
         for outcome, slope in probabilities.items():
@@ -683,7 +685,7 @@ class SSP(Graph, ReadOnlyCopies):
 
     @explained
     def with_dead_ends(self, dead_ends: DeadEnds | None) -> Self:
-        """Return the model after a check that it has no dead-ends except the given ones.
+        """Check that the states without actions are goals or given dead-ends; return the model.
 
         Args:
             dead_ends: states from which no action reaches the goal, or labels of states, or a
@@ -691,8 +693,8 @@ class SSP(Graph, ReadOnlyCopies):
                 None: nothing is checked.
 
         Raises:
-            ModelError: another state has no actions and is not a goal, or the goal is reached from
-                one of these.
+            ModelError: a state without actions is neither a goal nor given, or the goal can be
+                reached from a given state.
         """
         if dead_ends is not None:
             _check_idle_states(self, dead_ends, accept=False)
@@ -704,7 +706,7 @@ class SSP(Graph, ReadOnlyCopies):
 
     @property
     def costs_by_name(self) -> Mapping[str, FloatArray]:
-        """All costs, [outcomes] each, the model's own first: "cost" if it has no name."""
+        """All costs by name, [outcomes] each; the model's own is first, named "cost" by default."""
         named = self.named_costs
         same = (n for n, c in named.items() if c is self.costs or np.array_equal(c, self.costs))
         own = next(same, "cost" if "cost" not in named else "own cost")
@@ -753,13 +755,13 @@ class SSP(Graph, ReadOnlyCopies):
             return None
 
     def hint(self, state: Hashable) -> str:
-        """Return a clause for the error about an unknown state."""
+        """Return a hint for the error about an unknown state."""
         if isinstance(self.states, range):
             return f": states are 0 .. {len(self.states) - 1}"
         return did_you_mean(state, self.states, "its states:")
 
     def places_of(self, state: Hashable) -> IntArray:
-        """Return all states that a label stands for: one, in a product several.
+        """Return the indices of the states with a label: one, in a product perhaps several.
 
         Raises:
             ModelError: no state has the label.
@@ -772,7 +774,7 @@ class SSP(Graph, ReadOnlyCopies):
             return self.action_names[int(self.pair_action[pair])]
         except (IndexError, TypeError) as error:
             last = len(self.pair_action) - 1
-            raise ModelError(f"{pair!r} is not a pair: they are 0 .. {last}") from error
+            raise ModelError(f"{pair!r} is not a pair: pairs are 0 .. {last}") from error
 
     def pairs_of(self, state: int) -> range:
         """Return the pairs of a state."""
@@ -805,23 +807,24 @@ class SSP(Graph, ReadOnlyCopies):
         return self.describe_pair(pair)
 
     def of_all_states(self, made: FloatArray) -> FloatArray:
-        """Return values that were computed from the pairs of this object, for all states, [states].
+        """Return the values of all states, [states], given those of the states held here.
 
-        An ordinary model holds all pairs; a partitioned model joins the values of its parts.
+        An ordinary model holds all pairs, so the values are returned unchanged. A model that is
+        divided among processes overrides this to join the values of its parts.
         """
         return made
 
     def staying_free(self, free: BoolArray) -> BoolArray:
-        """Return the states of the model's end components of free pairs, [states].
+        """Return a mask of the states of end components that consist of free pairs, [states].
 
         Args:
-            free: mask of pairs by which a policy may stay, [pairs].
+            free: mask of the free pairs, [pairs].
         """
         return np.asarray(end_components(self, free)[0] >= 0)
 
     @property
     def failure_label(self) -> FailureSSP | None:
-        """The model itself if its states bear the failure label; otherwise None."""
+        """The model itself if it is a product with the failure label; otherwise None."""
         return None
 
     @property
@@ -854,7 +857,7 @@ UNEXPLORED = "unexplored"
 
 
 class _NotExploredError(ModelError, AttributeError):
-    """A function needs every state of an implicit model."""
+    """An attribute of an implicit model needs every state, of which some are not explored."""
 
 
 class ImplicitSSP(SSP):
@@ -904,7 +907,7 @@ class ImplicitSSP(SSP):
 
     @property
     def assumption(self) -> str:
-        """Assumption on which every answer rests, in words; empty without bounds."""
+        """Assumption behind every solution, that the given bounds hold, in words; "": no bounds."""
         words = ("no policy reaches the goal for less than cost_bound, given that it does",
                  "no policy fails less than failure_bound")  # fmt: skip
         given = zip(words, self.bounds, strict=True)
@@ -914,8 +917,12 @@ class ImplicitSSP(SSP):
 def check_model(model: object, verb: str) -> None:
     """Check that an argument is a model.
 
+    Args:
+        model: the argument.
+        verb: name of the function that was called, for the error.
+
     Raises:
-        ModelError: a problem or something else; ``verb`` names the function that was called.
+        ModelError: it is no model.
     """
     if not isinstance(model, SSP):
         raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{holder_of(model, SSP)}")
@@ -929,7 +936,7 @@ class FlatModel:
 
         Args:
             states: states that are known from the beginning.
-            cost: name of the cost that counts, of several; None: the only one.
+            cost: name of the model's own cost; None: the only cost.
         """
         self.states, self._closed, self._cost = states, closed, cost
         self._index = {state: i for i, state in enumerate(states)}
@@ -996,9 +1003,9 @@ class FlatModel:
             flat["actions"].append(action)
             flat["outcome_offsets"].append(len(successors))
         if any(len(paid) < len(costs) for paid in flat["named_costs"].values()):
-            raise ModelError(f"state {state!r} has unnamed costs; elsewhere costs have names")
+            raise ModelError(f"state {state!r} has unnamed costs: name them as elsewhere")
         if self._cost is not None and costs and not flat["named_costs"]:
-            raise ModelError(f"the costs have no names: none is called {self._cost!r}")
+            raise ModelError(f"there is no cost {self._cost!r}: give each cost a name")
         if goal:
             flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
         flat["pair_offsets"].append(len(flat["actions"]))
@@ -1032,7 +1039,7 @@ class FlatModel:
                 known.costs[cost, outcome] = slope
 
     def _paid(self, cost: Any, state: Hashable, action: Hashable, name: str = "cost") -> float:
-        """Return a cost as a float, recording a fraction and parameters."""
+        """Return a cost as a float; record its fraction or its parameters, if it has any."""
         if isinstance(cost, Affine):
             self._place(cost, name, state, action)
         paid = _number(cost, "cost", state, action)
@@ -1049,11 +1056,11 @@ class FlatModel:
         if not costs or named.keys() != costs.keys():
             told = "the costs " + ", ".join(map(repr, costs)) if costs else "no costs"
             others = ", ".join(map(repr, named)) or "none by name"
-            raise ModelError(f"{where} has {told}, others have {others}: name them everywhere")
+            raise ModelError(f"{where} has {told}, others {others}: name the same everywhere")
         if (self._cost is None and len(named) > 1) or self._cost not in (None, *named):
             known = ", ".join(map(repr, named))
             said = "" if self._cost is None else f", not {self._cost!r}"
-            raise ModelError("say which cost counts (", Argument("cost"), f"): {known}{said}")
+            raise ModelError("choose the cost to minimise (", Argument("cost"), f"): {known}{said}")
         for name, cost in costs.items():
             named[name].append(self._paid(cost, state, action, name))
         return named[self._cost or next(iter(named))][-1]
@@ -1089,7 +1096,7 @@ def _number_in_cell(path: object, name: str, row: int, cell: str | None) -> floa
 
 
 def _rows_of(table: Any, names: Iterable[str | Sequence[str]]) -> Iterator[tuple[Any, ...]]:
-    """Return the rows of some columns of a table, with a tuple for several columns named together.
+    """Return the rows of some columns of a table; several columns named together make a tuple.
 
     Raises:
         ModelError: a column does not exist or has another length, or a cell is empty.
@@ -1101,7 +1108,7 @@ def _rows_of(table: Any, names: Iterable[str | Sequence[str]]) -> Iterator[tuple
 
 
 def _column(table: Any, name: str | Sequence[str]) -> list[Any]:
-    """Return a column of a table as values of Python; for several columns, as tuples.
+    """Return a column of a table as Python objects; several columns are joined to tuples.
 
     Raises:
         ModelError: the column does not exist, or a cell is empty.
@@ -1155,7 +1162,7 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
 
 
 def check_hashable(state: Any, where: str) -> None:
-    """Raise :class:`ModelError`, saying where it was given, for a value that cannot be a state."""
+    """Raise :class:`ModelError` for a value that cannot be a state; ``where`` is for the error."""
     try:
         hash(state)
     except TypeError as error:
@@ -1165,7 +1172,7 @@ def check_hashable(state: Any, where: str) -> None:
 
 
 def _number(value: Any, what: str, state: Hashable, action: Hashable) -> float:
-    """Return the number of a model's outcome, as a float."""
+    """Return a probability or cost as a float; :class:`ModelError` if it is not a number."""
     if not isinstance(value, (str, bytes)):
         with suppress(TypeError, ValueError, OverflowError):
             return float(value)
@@ -1190,17 +1197,17 @@ def _check_numbers(model: SSP, numbers: FloatArray, what: str, remedy: str = "")
 
 
 def _refuse_outcomes(model: SSP, broken: BoolArray, complaint: str) -> None:
-    """Raise :class:`ModelError` for the first outcome of a model whose value is broken."""
+    """Raise :class:`ModelError` for the first outcome of a model where ``broken`` is True."""
     if broken.any():
         raise ModelError(f"{model._describe_outcome(int(np.argmax(broken)))} {complaint}")
 
 
 def _checked_probabilities(model: SSP, normalise: bool = False) -> FloatArray:
-    """Check a model's probabilities and costs; return the probabilities with sums 1, [outcomes].
+    """Check a model's probabilities and costs; return probabilities that sum to 1, [outcomes].
 
     Args:
         model: the model.
-        normalise: correct deviations of the sums up to 1e-5 (single precision), not 1e-9.
+        normalise: accept sums that differ from 1 by up to 1e-5 (single precision), not 1e-9.
 
     Raises:
         ModelError: a number that is not finite and >= 0, a pair without outcomes, or one whose
@@ -1229,7 +1236,7 @@ def _checked_probabilities(model: SSP, normalise: bool = False) -> FloatArray:
 
 
 def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
-    """Return indices in a model in their own integer type; :class:`ModelError` for other types."""
+    """Return an array of indices as int32 or int64; :class:`ModelError` for other types."""
     array = np.asarray(indices)
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise ModelError(f"{name} must be integers (indices)")
@@ -1237,7 +1244,7 @@ def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
 
 
 def _costs_of_outcomes(costs: npt.ArrayLike, outcome_offsets: IntArray) -> FloatArray:
-    """Return the costs of a model's outcomes, [outcomes]; one number takes no memory.
+    """Return the cost of each outcome, [outcomes]; a single number is stored once.
 
     Args:
         costs: one number, or one per pair, or one per outcome.
@@ -1260,11 +1267,11 @@ def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) 
 
     Args:
         model: the model.
-        dead_ends: the states that may lack pairs, and from which no action may reach the goal.
-        accept: without ``dead_ends``, all states may lack pairs.
+        dead_ends: states that must not reach the goal; only they and goals may lack pairs.
+        accept: if ``dead_ends`` is None, accept all states without pairs.
 
     Raises:
-        ModelError: naming the state and the remedy.
+        ModelError: the error names the wrong state and the remedy.
     """
     acting = np.diff(model.pair_offsets) > 0
     wrong, idle = model.goal_mask & acting, ~(acting | model.goal_mask)
@@ -1296,7 +1303,7 @@ def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) 
 
 
 def _dead_end_members(model: SSP, dead_ends: DeadEnds) -> IntArray:
-    """Return the indices of a model's states that are listed as dead-ends, or by labels.
+    """Return the indices of the states that ``dead_ends`` lists, by themselves or by labels.
 
     Raises:
         ModelError: an entry is neither a state nor a label.
@@ -1348,7 +1355,7 @@ _NO_DIGITS = str.maketrans("", "", "0123456789")
 def _with_a_letter_less(name: Any, least: int = 4) -> set[str]:
     """Return a state's name, and all names with one of its letters left out.
 
-    The set is empty for other types than text, and for names too short to be compared.
+    The set is empty for a name that is not text, or that is too short to be compared.
     """
     if not isinstance(name, str) or len(name) < least:
         return set()
@@ -1363,7 +1370,7 @@ def goal_mask_of(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
     """
     goals = np.asarray(goal_states).reshape(-1)
     if goals.size and not np.issubdtype(goals.dtype, np.integer):
-        raise ModelError("goal_states must be indices of states (integers), no mask")
+        raise ModelError("goal_states must be indices of states, np.flatnonzero(mask), not a mask")
     goals = goals.astype(np.int64)
     if goals.size == 0:
         raise ModelError(

@@ -59,7 +59,7 @@ def checked_rows(rows: Rows, first: int, end: int) -> StateRows:
     """Return the rows of some states as arrays of checked types and lengths.
 
     Raises:
-        ModelError: naming the call and the wrong array.
+        ModelError: an array has another type or length; the error names the call and the array.
     """
     made, call = rows(first, end), f"rows({first}, {end})"
     if not isinstance(made, StateRows):

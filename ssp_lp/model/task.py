@@ -49,7 +49,7 @@ class _Reader:
             match = _TOKEN.match(text, end)
             if match is None:
                 start = end + len(text[end:]) - len(text[end:].lstrip())
-                raise self._error("no sign or name of a task", start)
+                raise self._error("not a name or an operator", start)
             kind, end = str(match.lastgroup), match.end()
             name, start = match[kind], match.start(kind) - (kind == "quoted")
             kind = "sign" if kind == "word" and name in _WORDS else kind
@@ -61,7 +61,7 @@ class _Reader:
         return ModelError(f"task: {told}\n  {self.text}\n  {' ' * position}^")
 
     def _takes(self, *signs: str) -> str:
-        """Consume the next token and return it if it is one of some signs; else return nothing."""
+        """Consume and return the next token if it is one of the given operators; else return ""."""
         kind, name, _ = self.tokens[self.place]
         if kind != "sign" or name not in signs:
             return ""
@@ -80,7 +80,7 @@ class _Reader:
         return _negated_at_names(formula)
 
     def _binary(self, level: int) -> Formula:
-        """Return a formula of binary operators of this level or tighter ones."""
+        """Read a formula whose binary operators have at least this level of precedence."""
         if level == len(_LEVELS):
             return self._unary()
         left = self._binary(level + 1)
@@ -96,7 +96,7 @@ class _Reader:
         return left
 
     def _unary(self) -> Formula:
-        """Return a name, a constant, a formula in brackets, or one with a unary operator."""
+        """Read a name, a constant, a formula in brackets, or a unary operator and its operand."""
         kind, name, position = self.tokens[self.place]
         if kind in ("word", "quoted"):
             self.place += 1
@@ -150,11 +150,11 @@ def _alternatives(formula: Formula) -> Obligation:
 
 
 def _here(formula: Formula, seen: frozenset[str], go_on: bool) -> Obligation:
-    """Return the obligation that remains of a formula after a position.
+    """Return what a formula requires from the next position on, given the names that hold now.
 
     Args:
-        formula: must hold from the position on.
-        seen: names that hold there.
+        formula: formula that must hold from the present position on.
+        seen: labels and actions that hold at the present position.
         go_on: whether there is a next position; if not, the result is "met" or "broken".
     """
     kind, *parts = formula
@@ -176,7 +176,7 @@ def _here(formula: Formula, seen: frozenset[str], go_on: bool) -> Obligation:
 
 
 def _left(obligation: Obligation, seen: frozenset[str], go_on: bool = True) -> Obligation:
-    """Return the obligation that remains of an obligation after a position, as :func:`_here`."""
+    """Return what an obligation requires from the next position on; see :func:`_here`."""
     left = _BROKEN
     for alternative in obligation:
         every = _MET
@@ -187,7 +187,7 @@ def _left(obligation: Obligation, seen: frozenset[str], go_on: bool = True) -> O
 
 
 def _text(formula: Formula, inside: bool = False) -> str:
-    """Return a formula as text that can be typed; a binary part of another one has brackets."""
+    """Return a formula as text that can be typed; ``inside`` puts a binary one in brackets."""
     kind, *parts = formula
     if kind in ("true", "false"):
         return str(kind)
@@ -252,14 +252,14 @@ class Task:
         return tuple(found)
 
     def seen(self, model: SSP) -> tuple[IntArray, IntArray]:
-        """Return the names that hold, as sums of powers of two in the order of ``names``.
+        """Return the task's names that hold in each state and at each pair, as bit masks.
 
         Args:
             model: the model.
 
         Returns:
-            The named labels of each state, [states]; and for each pair the named labels of its
-            state together with its action, if that is named, [pairs].
+            Two arrays of whole numbers whose bit k says whether ``names[k]`` holds: for each state
+            its labels, [states]; for each pair the labels of its state and its action, [pairs].
 
         Raises:
             ModelError: a name that is both a label and an action, or neither; or too many names.
@@ -272,7 +272,7 @@ class Task:
         for bit, name in enumerate(self.names):
             is_action = np.array([str(word) == name for word in model.action_names], dtype=np.bool_)
             if name in model.state_labels and is_action.any():
-                raise ModelError(f"{self!r}: {name!r} is both a label of states and an action")
+                raise ModelError(f"{self!r}: {name!r} is a state label and an action: rename one")
             if name in model.state_labels:
                 states[model.state_labels[name]] |= 1 << bit
             elif is_action.any():
@@ -287,7 +287,7 @@ class Task:
         return states, states[model.pair_state] | actions[model.pair_action]
 
     def _read(self, letters: IntArray) -> list[frozenset[str]]:
-        """Return the set of names for each letter, a sum of powers of two, [letters]."""
+        """Return the set of names that each bit mask of :meth:`seen` stands for, [letters]."""
         return [
             frozenset(name for bit, name in enumerate(self.names) if letter >> bit & 1)
             for letter in letters.tolist()
@@ -295,7 +295,7 @@ class Task:
 
     @explained
     def automaton(self, model: SSP) -> Automaton:
-        """Return the automaton of the task on a model, whose values are obligations.
+        """Return the automaton that follows the task on a model; its values are obligations.
 
         Args:
             model: the model, whose labels and actions the task names.
@@ -308,11 +308,12 @@ class Task:
         return self.followed(model)[0]
 
     def followed(self, model: SSP) -> tuple[Automaton, BoolArray]:
-        """Return the automaton, and whether a trace that ends in a state satisfies the task.
+        """Return the automaton of the task on a model, and at which ends the task is satisfied.
 
         Returns:
-            The automaton; and whether the trace satisfies the task if it ends with a value in a
-            state, [values, states].
+            The automaton; and a mask of the pairs of a value and a state such that a trace that
+            ends in the state, while the automaton has the value, satisfies the task,
+            [values, states].
         """
         of_states, of_pairs = self.seen(model)
         distinct, by_pair = np.unique(of_pairs, return_inverse=True)
@@ -340,7 +341,7 @@ class Task:
         return automaton, read_only(np.array(ends, dtype=np.bool_)[:, by_state])
 
     def satisfied(self, product: TrackedSSP) -> BoolArray:
-        """Return a mask of the product's states in which a trace that ends satisfies the task."""
+        """Return a mask of the product's states: traces that end there satisfy the task."""
         ends = self.followed(product.original)[1]
         return np.asarray(ends[product.labels.number, product.original_state])
 
@@ -393,8 +394,8 @@ def reach(model: SSP, goal: Task, *, start: Iterable[Hashable]) -> TrackedSSP:
     begin = np.array([model.index_of(s) for s in no_lone_string(start, "start")], dtype=np.int64)
     automaton, ends = goal.followed(model)
     for state in begin[ends[0, begin]].tolist():
-        told = f"{goal!r} is satisfied at the start {model.states[state]!r} already"
-        warnings.warn(f"{told}: the run ends there", ModelWarning, stacklevel=3)
+        told = f"the start {model.states[state]!r} satisfies {goal!r}: its runs take no step"
+        warnings.warn(told, ModelWarning, stacklevel=3)
     made = track(model, automaton, goal, begin, lambda state, value: ends[value, state])
     if not made.goal_mask.any():
         raise ModelError(f"no run from the start satisfies {goal!r}")

@@ -108,7 +108,7 @@ class TrackedSSP(ProductSSP):
             k = int(np.argmax(least != most))
             told = f"{model.describe_pair(int(taken[k]))} to {model.states[int(successors[k])]!r}"
             if most[k] < 0:
-                raise ModelError(f"{told}: the model has no such step")
+                raise ModelError(f"the model has no step by {told}")
             raise ModelError(
                 f"{told} at cost {float(costs[k]):g}: outcomes with this successor and this cost "
                 f"differ in {automaton.name}: give them different successors or different costs"
@@ -117,14 +117,14 @@ class TrackedSSP(ProductSSP):
 
 
 def followed_in(model: SSP, follows: object) -> tuple[TrackedSSP, IntArray] | None:
-    """Return the product, among a model's nested products, with a limit's automaton, or None.
+    """Return the product that follows a given limit or task, among nested products; None: none.
 
     Args:
-        model: a product of products.
-        follows: limit or task of the automaton.
+        model: a model that may be a product of a product, and so on.
+        follows: the limit or task that the product's automaton reads.
 
     Returns:
-        The product, and its state for each state of the model, [states].
+        The product, and the product's state for each state of the model, [states].
     """
     place: IntArray = np.arange(model.n_states)
     while isinstance(model, ProductSSP):
@@ -135,7 +135,7 @@ def followed_in(model: SSP, follows: object) -> tuple[TrackedSSP, IntArray] | No
 
 
 def rounded_in(model: SSP) -> dict[object, float]:
-    """Return the limits whose amounts the products of a model round up, with the grid's unit."""
+    """Return the limits whose amounts are rounded up in a model's products -> unit of rounding."""
     found = dict[object, float]()
     while isinstance(model, ProductSSP):
         if isinstance(model, TrackedSSP) and model.automaton.unit > 0.0:
@@ -145,7 +145,11 @@ def rounded_in(model: SSP) -> dict[object, float]:
 
 
 def check_not_rounded(model: SSP, what: str) -> None:
-    """Refuse a computation that would describe the rounded amounts of a model's products.
+    """Refuse a computation on a model whose products round the amounts of a limit.
+
+    Args:
+        model: the model.
+        what: name of the computation, for the error.
 
     Raises:
         ModelError: totals of a limit are rounded.
@@ -164,15 +168,15 @@ def track(
     begin: IntArray,
     succeeds: Callable[[IntArray, IntArray], BoolArray] | None = None,
 ) -> TrackedSSP:
-    """Return the product of a model with an automaton, from the states of the start.
+    """Return the product of a model with an automaton: what can be reached from the start.
 
     Args:
         model: the model.
         automaton: automaton that reads the model's outcomes.
-        follows: limit or task of the automaton.
-        begin: states in which episodes may begin.
-        succeeds: whether a run ends with success, by states and values, [entries]; None: at the
-            model's goals.
+        follows: the limit or task that the automaton stands for.
+        begin: indices of the states in which episodes may begin.
+        succeeds: function of states and automaton values, [entries] each, that returns whether a
+            run ends there with success, [entries]; None: runs end at the model's goals.
 
     Raises:
         ModelError: states times values are too many.

@@ -1,7 +1,7 @@
-"""Plots of curves and bars: frontiers, the bounds of a solve, laws of the total cost.
+"""Plots of curves and bars: frontiers, the bounds of a solve, distributions of the total cost.
 
-The style of all plots is here, too: colours for all kinds of colour vision, each with a second
-distinguishing mark.
+The style of all plots is here, too: colours that can be distinguished with any colour vision, each
+with a second distinguishing mark.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axe
 
     Args:
         ax: axes of matplotlib; None: a new figure.
-        width: of the new figure, in inches.
-        height: of the new figure, in inches.
+        width: width of the new figure, in inches.
+        height: height of the new figure, in inches.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -94,9 +94,9 @@ def plot_frontier(
     """Draw the least objective against the failure budget, or another limit.
 
     The line is the value of lotteries over neighbouring turning points. If tracing was cut short,
-    the optimum lies in the hatched band below it, down to the proved bound
-    (:meth:`Frontier.bounds_at`, up to two pricing calls for each turning point). In case S a
-    segment is not a straight line: the objective is a ratio.
+    the optimum lies in the hatched band between the line and the proved bound
+    (:meth:`Frontier.bounds_at`); drawing the band takes up to two pricing calls for each turning
+    point. In case S segments are not straight, since the objective is a ratio.
 
     Args:
         frontier: result of ``trace_frontier``.
@@ -104,8 +104,8 @@ def plot_frontier(
             derivative of the optimum by the budget (minus the failure price in case M). A turning
             point has two tangents. Where the frontier is not settled, bounds replace the tangent.
         ax: where to draw; None: a new figure.
-        label: label of the line; None: its gap.
-        look: style of the line, 0 .. 4, to distinguish several.
+        label: label of the line; None: a label that states its gap.
+        look: style of the line, 0 .. 4, to distinguish several lines.
         whole: show the whole frontier; otherwise a new figure shows its bend and the budget.
 
     Raises:
@@ -160,9 +160,9 @@ def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> Non
 
 
 def bounds_along(frontier: Frontier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return budgets from end to end of a frontier, and both bounds of the optimum at each.
+    """Return budgets along a frontier and the lower and upper bounds there, [budgets] each.
 
-    Turning points are among the budgets, [budgets] each.
+    All turning points are among the budgets.
     """
     spent = frontier.spent
     each = max(_SAMPLES // len(spent), 4)
@@ -174,7 +174,7 @@ def bounds_along(frontier: Frontier) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
-    """Return budgets between two others, dense on a linear and on a logarithmic axis."""
+    """Return budgets between two given ones, close together on linear and logarithmic axes."""
     even = np.linspace(begin, end, count)
     if begin == 0.0:
         return even
@@ -182,7 +182,7 @@ def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
 
 
 def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) -> None:
-    """Mark a budget with the optimum and its tangents or, where unsettled, with the bounds."""
+    """Mark a budget with the optimum and its tangents or, if not settled, with its bounds."""
     ax.axvline(budget, color=PALE, linewidth=0.8, linestyle=":", zorder=1)
     try:
         value = frontier.objective_at(budget)
@@ -233,11 +233,11 @@ class BoundsRecord:
 def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = None) -> Axes:
     """Plot the upper and lower bound of the optimum against seconds.
 
-    The upper bound is the objective of the best policy so far. The lower bound follows from the
-    pricing calls so far: each of them is repeated at its price (with the cap of a linear program if
-    accumulated costs are capped). The last point shows the bounds of the solution. Only the last
-    lower bound is known if the problem has limits in addition to the failure budget, or if it does
-    not minimise a cost within a failure budget.
+    The upper bound is the objective of the best policy so far. The lower bound is the greatest one
+    that the prices so far prove: for each price, one pricing problem is solved for the plot, on the
+    process that the linear program would have, with its cap on the accumulated cost. The last point
+    shows the bounds of the solution. Lower bounds before the last one are drawn only for a cost
+    that is minimised within a failure budget, without other limits.
 
     Args:
         record: record of the reports of ``solve``.
@@ -246,8 +246,9 @@ def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = N
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
-        ModelError: no solution; or the criterion measures the law of costs, as a quantile does: it
-            is solved as a search over problems, whose reports do not bound the optimum.
+        ModelError: the argument is no solution, or its criterion measures the distribution of
+            costs, as a quantile does: such a problem is solved by a search over other problems,
+            whose reports do not bound the optimum.
 
     Example:
         >>> from ssp_lp import MCMP, SSP, solve
@@ -258,7 +259,7 @@ def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = N
     as_solved(solution, "plot_bounds")
     if solution.problem.semantics.counts_law:
         name = type(solution.problem).__name__
-        raise ModelError(f"{name} is solved by a search over problems: only its end has bounds")
+        raise ModelError(f"a search for {name} has bounds only at its end: read solution.gap")
     ax = axes_or_new(ax)
     upper = np.minimum.accumulate([*record.objectives, solution.objective])
     lower = np.maximum.accumulate([*_proved_bounds(record, solution.problem), solution.lower_bound])
@@ -298,12 +299,12 @@ _UNSEEN = 1e-3  # share of the successes with greater costs than those drawn
 
 @explained
 def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -> Axes:
-    """Plot the law of the total cost given success, its quantile and tail mean.
+    """Plot the distribution of the total cost given success, its quantile and tail mean.
 
-    A bar is the probability of one cost or, if there are too many, of an interval of costs. The
-    most expensive share of ``1 - level`` is hatched. Its mean is the conditional value at risk. It
-    contains a part of the bar at the quantile. At most a thousandth of the successes costs more
-    than the last bar.
+    A bar is the probability of one cost or, if there are too many costs, of an interval of costs.
+    The costliest share ``1 - level`` of the successes is hatched, which may split the bar at the
+    quantile; its mean is the conditional value at risk. At most a thousandth of the successes costs
+    more than the last bar.
 
     Args:
         law: result of ``success_costs``.
@@ -315,7 +316,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
         ModelError: the goal is never reached, a level out of range, or costs without a common unit.
     """
     if law.goal == 0.0:
-        raise ModelError("the policy never reaches the goal: there is no law of costs to draw")
+        raise ModelError("no costs to draw: the policy never reaches the goal")
     ax = axes_or_new(ax)
     quantile, tail = law.quantile(level), law.tail_mean(level)
     costs, shares, width = _bars_of_law(law)
@@ -340,7 +341,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
 
 
 def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
-    """Return the bars of a cost law: middles, probabilities given success, and their width."""
+    """Return the bars of a cost distribution: middles, probabilities given success, width."""
     costs, masses = law.all_but(_UNSEEN * law.goal)
     shares = masses / law.goal
     if len(costs) <= 1:
@@ -356,15 +357,15 @@ def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
 def plot_tornado(
     effects: WhatIf, *, share: float = 0.1, most: int = 12, ax: Axes | None = None
 ) -> Axes:
-    """Draw the effect of each number of a problem on the optimum, those that matter most on top.
+    """Draw a bar for the effect of each number of a problem on the optimum, the longest on top.
 
-    A bar shows the change of the optimum, by its derivative on that side, when the number falls or
-    rises by a share of its size; the size of a probability p is min(p, 1 - p).
+    A bar shows by how much the optimum changes when the number falls or rises by a share of its
+    size, computed from the derivative on each side. The size of a probability p is min(p, 1 - p).
 
     Args:
         effects: result of ``solution.what_if()``.
-        share: share of the size.
-        most: greatest number of numbers.
+        share: share of its size by which each number changes.
+        most: greatest number of bars.
         ax: where to draw; None: a new figure.
 
     Raises:
@@ -404,7 +405,7 @@ def plot_parameter(solutions: Iterable[object], name: str, *, ax: Axes | None = 
     Args:
         solutions: answers to the same question at several values of the parameter, such as
             ``solve_many(sweep(...))``.
-        name: of the parameter.
+        name: name of the parameter.
         ax: where to draw; None: a new figure.
 
     Raises:
@@ -414,7 +415,7 @@ def plot_parameter(solutions: Iterable[object], name: str, *, ax: Axes | None = 
     solved = [one for one in solutions if isinstance(one, Solution)]
     solved = [one for one in solved if name in one.problem.model.parameters]
     if len(solved) < 2:
-        raise ModelError(f"a curve over parameter {name!r} needs two solutions of models with it")
+        raise ModelError(f"give solutions of two or more models with the parameter {name!r}")
     solved.sort(key=lambda one: one.problem.model.parameters[name].value)
     at = np.array([one.problem.model.parameters[name].value for one in solved])
     optima = np.array([one.objective for one in solved])

@@ -1,8 +1,9 @@
 """The explorer: a frontier as an interactive page, without a server or a network.
 
-A slider moves along the bound. Between two turning points the optimum is their lottery, drawn once
-at the start, so that every probability and expectation on the page is linear in its weight: all
-numbers are computed here, at the turning points, and the page interpolates between two of them.
+A slider moves along the values of the bound, such as the failure budget. Between two turning points
+the optimum is a lottery over their policies, which is drawn once at the start. So every probability
+and expectation on the page is linear in its weight: numbers are computed here, at the turning
+points, and the page interpolates between two of them.
 """
 
 from __future__ import annotations
@@ -81,10 +82,10 @@ def explore(
 ) -> Explorer:
     """Return a page on which a slider moves along a frontier.
 
-    It shows the objective, the price, the lottery, its failures, and the law of its cost; if states
-    have places, also the decisions and visits in each, and sample runs; otherwise, for a small
-    model, its graph. All numbers are computed at the turning points, where the policies are
-    evaluated: ``trace_frontier(point_limit=50)`` keeps the page small.
+    The page shows the objective, the price, the lottery, how its runs end, and the distribution of
+    its cost. If states have places in the plane, it also shows the decisions and visits in each
+    place, and sample runs; otherwise, for a small model, its graph. The policies are evaluated at
+    all turning points: ``trace_frontier(point_limit=50)`` keeps the page small.
 
     Args:
         frontier: result of ``trace_frontier``.
@@ -92,8 +93,8 @@ def explore(
         cells: the (x, y) of a state, the middle of a unit square; None: the state itself, if it is
             a pair of numbers.
         moves: the (dx, dy) of an action; None: its mean displacement.
-        walls: middles of squares that are no states.
-        episodes: number of sample runs.
+        walls: middles of unit squares that are walls, not states.
+        episodes: number of sample runs at each turning point.
         seed: seed of the runs.
 
     Raises:
@@ -145,7 +146,7 @@ def explore(
 
 
 def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]) -> dict[str, Any]:
-    """Return the data of each turning point."""
+    """Return the numbers of all turning points, as lists by name."""
     listed = (entry for each in evaluations for entry in each.ends.items())
     names = list(dict.fromkeys(name for name, share in listed if share > 1e-12))  # else rounding
     reached = np.array([each.goal_probability for each in evaluations])
@@ -179,9 +180,9 @@ def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]
 def _laws(
     policies: list[MixedPolicy], problem: Problem, in_region: BoolArray
 ) -> dict[str, Any] | None:
-    """Return probabilities of total costs at each turning point, in the same bars for all.
+    """Return the bars of the cost distribution at each turning point, with common edges.
 
-    None if the goal is never reached, or costs are too many.
+    None if the goal is never reached, or there are too many distinct costs.
     """
     try:
         laws = [success_costs(policy, problem) for policy in policies]
@@ -205,7 +206,7 @@ def _laws(
 
 
 def _short(numbers: FloatArray) -> list[float]:
-    """Return numbers rounded to the digits that the page shows."""
+    """Return numbers rounded to six significant digits, as the page shows them."""
     return [float(f"{x:.6g}") for x in numbers.tolist()]
 
 
@@ -224,7 +225,7 @@ def _is_point(state: object) -> bool:
 
 
 def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
-    """Return the point of each state, nan for none, [states, 2]; None if nothing is drawn."""
+    """Return the point of each state, nan without one, [states, 2]; None: states have no places."""
     model = problem.model
     if cells is not None:
         return plane.cells_of(model, cells)
@@ -234,7 +235,7 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
 
 
 def _layout(problem: Problem) -> FloatArray:
-    """Return points for the states of a graph, by their distance from the start, [states, 2]."""
+    """Return points for drawing the graph, in columns by distance from the start, [states, 2]."""
     model = problem.model
     begun = np.flatnonzero(problem.start_mass > 0.0)
     rows = segment_ids(model.pair_offsets)[segment_ids(model.outcome_offsets)]
@@ -310,13 +311,13 @@ def _plane(
 def _runs(
     policies: list[MixedPolicy], problem: Problem, points: FloatArray, episodes: int, seed: int
 ) -> dict[str, Any]:
-    """Return sample runs at each turning point, as numbers of states."""
+    """Return sample runs at each turning point: the states on the path, and how it ends."""
     model, marks = problem.model, end_marks(problem.model)
     words = ["goal", *model.state_labels, "dead-end", "gave up, or goes on"]
     placed = plane.with_point(points)
 
     def run_of(path: IntArray) -> dict[str, Any]:
-        """Return the data of a run."""
+        """Return the states with a place on a path, and the end of the run."""
         mark = int(marks[int(path[-1])])
         steps = path[placed[path]][:300]  # longer lines hide the plane
         return {"path": steps.tolist(), "goal": mark == 0, "end": words[mark]}
@@ -333,7 +334,7 @@ def _runs(
 def _ground(
     problem: Problem, points: FloatArray, walls: list[Point], *, is_graph: bool
 ) -> dict[str, Any]:
-    """Return the places of goals, dead-ends, walls and the start, and names in a graph."""
+    """Return the squares of goals, dead-ends, walls and start; in a graph also state names."""
     known = plane.with_point(points)
     everything = np.vstack([points[known], *np.array(walls, dtype=float).reshape(-1, 2)])
     limits = [everything.min(axis=0) - _AROUND, everything.max(axis=0) + _AROUND]

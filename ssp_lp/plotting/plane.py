@@ -72,7 +72,7 @@ def points_of(names: Iterable[Hashable], places: Places) -> FloatArray:
     for name in names:
         point = look_up(name)
         if point is not None and np.shape(point) != (2,):
-            raise ModelError(f"{name!r} must lie at a point (x, y) or nowhere, not at {point!r}")
+            raise ModelError(f"the point of {name!r} must be (x, y) or None, not {point!r}")
         points.append((np.nan, np.nan) if point is None else point)
     return np.array(points, dtype=np.float64).reshape(-1, 2)
 
@@ -85,7 +85,7 @@ def cells_of(model: SSP, cells: Places) -> FloatArray:
     """
     points = points_of(model.states, cells)
     if np.isnan(points).all():
-        raise ModelError(f"no state has a point: a state is, for instance, {model.states[0]!r}")
+        raise ModelError(f"no state has a point: give points of states such as {model.states[0]!r}")
     return points
 
 
@@ -112,13 +112,13 @@ def size_of(points: FloatArray, walls: Iterable[Point]) -> tuple[float, float]:
 
 
 def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[Point]) -> None:
-    """Draw walls, dead-ends, goals and the start as unit squares, and a frame around other cells.
+    """Draw walls, dead-ends, goals and the start as unit squares, other cells as thin frames.
 
     Args:
         ax: axes to draw on.
         problem: problem with the model and the start.
         points: points of the model's states, nan for those without, [states, 2].
-        walls: middles of squares that are no states.
+        walls: middles of unit squares that are walls, not states.
     """
     patches, kinds = (
         optional_module("matplotlib.patches", "plot"),
@@ -141,7 +141,7 @@ def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[
 def squares_of(
     problem: Problem, points: FloatArray, walls: Iterable[Point]
 ) -> dict[str, list[Point]]:
-    """Return the middles of free cells, dead-ends, walls, goals and start cells, by their kind.
+    """Return the kinds of cells (free, dead-end, wall, goal, start) -> the middles of each kind.
 
     If several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
     """
@@ -182,7 +182,7 @@ _LONGEST = 0.46  # of a cell's side, from its middle
 
 
 class _Seen(NamedTuple):
-    """Visits and decisions by cell."""
+    """Expected visits of each cell, and the shares of its decisions."""
 
     middles: FloatArray  # [cells, 2]
     visits: FloatArray  # [cells]
@@ -202,25 +202,25 @@ def plot_grid_policy(
 ) -> Axes:
     """Plot a policy's decisions in the plane, with cells shaded by their expected visits.
 
-    A cell with one action has one arrow. If there are several, by a lottery, by chance or by
-    memory, the cell is marked by a ring, and each has an arrow from it, whose length grows with its
-    share of the visits. An action without a direction is a dot; giving up is a cross. Walls,
-    dead-ends and goals are drawn if they have a cell.
+    A cell in which one action is taken has one arrow. If several actions are taken there, because
+    the policy has a memory or draws at random, the cell is marked by a ring, and each action has an
+    arrow, whose length grows with its share of the visits. An action without a direction is a dot;
+    giving up is a cross. Walls, dead-ends and goals are drawn if they have a cell.
 
     Args:
         policy: any policy on the problem's model.
         problem: problem with the start.
-        cells: the (x, y) of a state, the middle of a unit square; states at the same point are
-            added up (such as those with different memories), and states without a point are
+        cells: the (x, y) of a state, the middle of a unit square. Visits of states at the same
+            point, such as those with different memories, are added up; states without a point are
             omitted.
         moves: the (dx, dy) of an action.
-        walls: middles of squares that are no states.
-        most_visits: visits of the darkest shade; None: the most in the plot.
+        walls: middles of unit squares that are walls, not states.
+        most_visits: expected visits of the darkest shade; None: the most in the plot.
         ax: axes to draw on; None: a new figure.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
-        ModelError: no state has a cell; the policy may wander for ever; it is for another model.
+        ModelError: no state has a cell, the policy may wander for ever, or it is for another model.
 
     Example:
         >>> from ssp_lp import MCMP, SSP, DeterministicPolicy
@@ -244,7 +244,7 @@ def plot_lottery(
     """Plot the members of a lottery in the plane side by side, on one scale of shades.
 
     Args:
-        policy: a lottery; each plot's title has its member's share.
+        policy: a lottery; the title of each plot is the probability of its member.
         problem: problem with the start.
         cells: as in :func:`plot_grid_policy`.
         moves: as in :func:`plot_grid_policy`.
@@ -360,9 +360,9 @@ def plot_paths(
 
     Args:
         paths: an array [points, 2 or more] each; the first two columns are x and y.
-        ends: end of each path, as words for the legend, [paths].
-        order: the ends in an order, so that they look the same in several plots; others follow by
-            their number of paths.
+        ends: end of each path, in the words of the legend, [paths].
+        order: ends that come first, in this order, so that they have equal styles in several plots;
+            the other ends follow by their number of paths.
         ax: axes to draw on; None: a new figure.
 
     Raises:
@@ -417,7 +417,7 @@ def plot_episodes(
         cells: the (x, y) of a state, the middle of a unit square.
         episodes: number of episodes.
         seed: a number or a generator, for the episodes and the offsets.
-        walls: middles of squares that are no states.
+        walls: middles of unit squares that are walls, not states.
         ax: axes to draw on; None: a new figure.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Policies on the original states, with their memory."""
+"""Policies on the states of the original model, with their memory."""
 
 from ssp_lp.policies.cost_aware import CostAwarePolicy as CostAwarePolicy
 from ssp_lp.policies.policy import (

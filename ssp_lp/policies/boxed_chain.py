@@ -1,4 +1,4 @@
-"""The chain of a policy whose probabilities nature chooses, within the box of each decision."""
+"""The chain of a policy when nature chooses the probabilities, within the box of each pair."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MOST_ROUNDS = 1_000
 
 @dataclass(frozen=True, eq=False)
 class BoxedChain:
-    """A policy's chain on all outcomes that boxes allow, with the boxes of its moves."""
+    """A policy's chain with all outcomes that boxes allow, and the interval of each move."""
 
     chain: Chain
     offsets: IntArray  # [decisions + 1] moves of each decision, a pair taken at a node
@@ -37,21 +37,21 @@ class BoxedChain:
 
     @cached_property
     def acting(self) -> BoolArray:
-        """Nodes with decisions other than giving up, [nodes]."""
+        """Mask of nodes with a decision other than giving up, [nodes]."""
         return np.bincount(self.chain.source, minlength=self.chain.n_nodes) > 0
 
     @property
     def is_exact(self) -> bool:
-        """Whether each pair is taken at one node only, so that nature chooses once."""
+        """Whether each pair is taken at one node only, so that nature chooses its outcomes once."""
         first = self.chain.outcome[self.offsets[:-1]]
         return len(np.unique(first)) == len(first)
 
     def at(self, chosen: FloatArray, inside: BoolArray) -> Chain:
-        """Return the chain at chosen probabilities, with the moves out of some nodes only.
+        """Return the chain at given probabilities, without the moves out of other nodes.
 
         Args:
             chosen: probabilities within the boxes, [moves].
-            inside: the nodes, [nodes].
+            inside: mask of the nodes whose moves are kept, [nodes].
         """
         chain = self.chain
         used = (chosen > 0.0) & inside[chain.source]
@@ -65,9 +65,9 @@ class BoxedChain:
         )
 
     def staying(self, inside: BoolArray) -> BoolArray:
-        """Return the greatest subset of nodes in which nature can stay for ever, [nodes].
+        """Return the greatest subset of nodes that nature can avoid leaving for ever, [nodes].
 
-        Nodes without moves are never left.
+        A node without moves is never left.
         """
         kept = inside
         while (fewer := kept & self._keeping(kept[self.chain.target])).sum() < kept.sum():
@@ -75,10 +75,10 @@ class BoxedChain:
         return kept
 
     def _keeping(self, within: BoolArray) -> BoolArray:
-        """Return the nodes at which nature can surely choose one of some moves, [nodes].
+        """Return the nodes at which nature can put all probability on given moves, [nodes].
 
         Args:
-            within: the moves, [moves].
+            within: mask of the given moves, [moves].
         """
         leaving = forced(self.low, self.high, ~within, self.offsets)
         keeping = np.ones(self.chain.n_nodes, dtype=np.bool_)
@@ -86,13 +86,13 @@ class BoxedChain:
         return keeping
 
     def collects_for_ever(self, reward: FloatArray, inside: BoolArray) -> bool:
-        """Return whether nature can collect a reward infinitely often within some nodes.
+        """Return whether nature can collect a reward infinitely often within given nodes.
 
-        It can if an end component of nature's choices has a move with a reward.
+        It can if an end component of nature's choices has a move with a positive reward.
 
         Args:
-            reward: >= 0, [moves].
-            inside: nodes, [nodes].
+            reward: reward of each move, >= 0, [moves].
+            inside: mask of the given nodes, [nodes].
         """
         source, target, n = self.chain.source, self.chain.target, self.chain.n_nodes
         kept = self.staying(inside & self.acting & (self.chain.give_up == 0.0))
@@ -119,16 +119,16 @@ class BoxedChain:
     ) -> FloatArray:
         """Return the greatest expected total reward from each node over nature's choices, [nodes].
 
-        Nature's policy iteration (Puterman, Markov Decision Processes, 1994, section 7.2): rewards
-        are not negative, so that it ends at the optimum if a choice is changed for a strict gain
-        only.
+        Policy iteration for nature (Puterman, Markov Decision Processes, 1994, section 7.2). Since
+        no reward is negative, it ends at the optimum if choices change only for a strict gain.
 
         Args:
-            reward: of moves out of nodes inside, >= 0, never collected for ever, [moves].
-            at_end: worth of reaching a node outside, >= 0, [nodes].
-            inside: nodes at which the run goes on, [nodes].
-            at_stop: worth of giving up, >= 0, [nodes].
-            claim: worth of ending the run at a node inside, if nature prefers that, >= 0, [nodes].
+            reward: reward of each move out of a node inside, >= 0, not collected for ever, [moves].
+            at_end: reward of reaching a node outside, >= 0, [nodes].
+            inside: mask of the nodes at which the run goes on, [nodes].
+            at_stop: reward if the policy gives up, >= 0, [nodes].
+            claim: reward if nature ends the run at a node inside, which it may do where the reward
+                is positive, >= 0, [nodes].
 
         Raises:
             SolverError: nature's choices do not converge.
@@ -160,12 +160,13 @@ class BoxedChain:
                 return values
             chosen = np.where(better[decision], best, chosen)
             stops = stops ^ turned
-        raise SolverError("nature's choices within the boxes do not converge")
+        raise SolverError("rounding makes nature's choices repeat; please report the model")
 
     def failing(self) -> FloatArray:
         """Return the greatest probability of never reaching the goal from each node, [nodes].
 
-        It is 1 at nodes where nature can avoid the goal; from all others every choice ends the run.
+        It is 1 at nodes where nature can surely avoid the goal. From all other nodes the run ends
+        with probability 1, whatever nature chooses.
         """
         missed = self.chain.goal == 0.0
         lost = self.staying(missed)
@@ -174,7 +175,7 @@ class BoxedChain:
 
 
 def boxed_chain(boxes: Boxes, policy: Policy, start: FloatArray) -> BoxedChain:
-    """Follow a policy along all outcomes that boxes allow.
+    """Build the chain of a policy over all outcomes that boxes allow.
 
     Args:
         boxes: boxes of the policy's model.

@@ -83,22 +83,22 @@ class Chain:
 
     @cached_property
     def matrix(self) -> sp.csr_array:
-        """Transition matrix of the policy's chain, [nodes, nodes]; goals and dead-ends: empty."""
+        """Transition matrix of the chain, [nodes, nodes]; rows of goals and dead-ends are empty."""
         n = self.n_nodes
         return sp.csr_array((self.probability, (self.source, self.target)), shape=(n, n))
 
     def per_node(self, move_values: FloatArray) -> FloatArray:
-        """Return the expected value of the next move in the policy's chain, [nodes]."""
+        """Return the mean of ``move_values``, [moves], over the moves out of each node, [nodes]."""
         return np.bincount(
             self.source, weights=self.probability * move_values, minlength=self.n_nodes
         ).astype(np.float64)
 
     def ahead(self, values: FloatArray) -> FloatArray:
-        """Return the expected value at the chain's next node, [nodes] or [nodes, values]."""
+        """Return the mean of ``values`` at the next node, [nodes] or [nodes, values]."""
         return np.asarray(self.matrix @ values)
 
     def reaching(self, ends: BoolArray) -> BoolArray:
-        """Return the nodes from which the chain may reach one of the given nodes, [nodes]."""
+        """Return a mask of the nodes from which the chain may reach a node of ``ends``, [nodes]."""
         backward = self.matrix.tocsc()
         return reached_along(backward.indices, backward.indptr, np.flatnonzero(ends))
 
@@ -108,12 +108,14 @@ class Chain:
         """Return the expected total reward in the policy's chain from each node, within ``inside``.
 
         Args:
-            reward: [nodes] or [nodes, rewards]; counted at nodes of ``inside`` only.
-            inside: nodes that the chain surely leaves for good, [nodes].
-            survival: factor of every move.
+            reward: reward of each visit, [nodes] or [nodes, rewards].
+            inside: mask of the nodes at which rewards are counted, and which the chain leaves for
+                good with probability 1, [nodes].
+            survival: discount factor of every move.
 
         Returns:
-            Like ``reward``; zero outside. The numbers are verified (``evaluate_chain``).
+            The expected totals, in the shape of ``reward``; 0 outside. ``evaluate_chain`` checks
+            the residuals.
         """
         result = np.zeros_like(reward)
         nodes, system = self._system(inside, survival)
@@ -123,10 +125,10 @@ class Chain:
         return result
 
     def arriving(self, survival: float = 1.0) -> tuple[FloatArray, FloatArray]:
-        """Return the future goal probability and E[cost; goal] at each node of the chain, [nodes].
+        """Return the goal probability and E[further cost; goal] from each node, [nodes] each.
 
         Args:
-            survival: factor of every move, except for the cost of the last one.
+            survival: discount factor of every move; the cost of the last move is not discounted.
         """
         if survival not in self._arriving:
             hits = self.per_node(self.goal[self.target])
@@ -143,7 +145,7 @@ class Chain:
             ModelError: the policy may wander for ever, so that visits are infinite.
         """
         if survival == 1.0 and not self.settling.all():
-            raise ModelError("the policy may wander for ever: its expected visits are infinite")
+            raise ModelError("visits are infinite: the policy may wander for ever; let it give up")
         everywhere = np.ones(self.n_nodes, dtype=np.bool_)
         return self._system(everywhere, survival)[1].solve_transposed(self.start)
 
@@ -156,7 +158,7 @@ class Chain:
         return self.visits(survival)[self.branch_node] * self.branch_probability
 
     def _system(self, inside: BoolArray, survival: float) -> tuple[IntArray, System]:
-        """Return the equations of the chain's moves within some nodes, cached for other rewards."""
+        """Return the indices of the nodes inside and their (cached) system of equations."""
         key = survival, inside.tobytes()
         if key not in self._systems:
             some = np.flatnonzero(inside)
@@ -194,7 +196,7 @@ def reached_table(
     Args:
         policy: the lottery.
         start: distribution over states, [states].
-        most_nodes: greatest size of a member's chain.
+        most_nodes: greatest number of nodes of a member's chain.
 
     Raises:
         ModelError: a member is of a class with unknown memory, or has no decision in a state that
@@ -286,12 +288,14 @@ def policy_chain(
 def _reachable_nodes(
     model: SSP, policy: Policy, start: IntArray, ended: BoolArray, size: int
 ) -> IntArray:
-    """Return the nodes that a policy reaches from given ones, by a single graph search, as keys.
+    """Return the keys of the nodes that a policy reaches, by one search among all possible nodes.
+
+    The key of a node is memory * n_states + state.
 
     Args:
         model: the model.
-        policy: on the model.
-        start: nodes in which the search begins, as keys.
+        policy: policy on the model.
+        start: keys of the nodes in which the search begins.
         ended: states in which an episode is over, [states].
         size: number of values of the policy's memory.
     """
@@ -304,7 +308,7 @@ def _reachable_nodes(
 def _expand_chain(
     model: SSP, policy: Policy, keys: IntArray, ended: BoolArray, size: int | None
 ) -> _Step:
-    """Return the moves and branches of the chain out of the given nodes, all as keys."""
+    """Return the moves and branches out of nodes; nodes are keys, memory * n_states + state."""
     memory, state = np.divmod(keys, model.n_states)
     acting = ~ended[state]
     keys, memory, state = keys[acting], memory[acting], state[acting]

@@ -34,18 +34,20 @@ _NEAR = 1e-6  # of a layer or a level: far above the rounding of a sum of costs,
 class CostAwarePolicy(Policy):
     """A deterministic decision for each (state, accumulated cost) below a cap, then a tail policy.
 
-    Costs are counted in layers of ``unit``. Memory below ``cap`` is the layer. At the cap the
-    policy switches for good to one of its stationary tails: to the last one (which fails where it
-    can, the paper's pi'_or of section 3.5) if the layer has reached ``tail_threshold`` of the
-    state, otherwise to the first; memory is then ``cap + tail``.
+    The accumulated cost is counted in layers: layer k stands for the cost k * ``unit``. Below the
+    cap the memory is the layer. At the cap the policy switches for good to one of its stationary
+    tail policies, and the memory is ``cap`` plus the number of the tail. The last tail fails where
+    it can (the paper's pi'_or of section 3.5); it is chosen if the layer is at least the state's
+    ``tail_threshold``. Otherwise the first tail is chosen.
 
-    If it ``rounds_up``, the cost of a step is rounded up to whole layers. The cost paid is then at
-    most the cost in the memory, so a law of rounded costs never overstates success.
+    With ``rounds_up``, the cost of a step is rounded up to whole layers. The cost paid is then at
+    most the cost in the memory, so the distribution of rounded costs never overstates success.
 
-    ``levels`` replace the layers by given totals, the last of which is the cap. After a step the
-    memory is the level nearest to the sum of the previous level and the step's cost, so that any
-    observed cost is accepted. If the levels are all the sums that can occur, the level is the cost
-    paid; on a grid, the cost is rounded at every step. Thresholds are then totals.
+    With ``levels``, given totals take the place of the multiples of ``unit``; the last one is the
+    cap. After a step the memory is the level nearest to the sum of the previous level and the
+    step's cost, so any observed cost is accepted. If the levels are all sums that can occur, the
+    level is the exact cost paid; otherwise the cost is rounded at every step. Thresholds are then
+    totals.
 
     Raises:
         ModelError: levels that do not rise from 0, or are not one more than the layers.
@@ -80,7 +82,7 @@ class CostAwarePolicy(Policy):
 
     @property
     def cap(self) -> int:
-        """Number of the cost-aware policy's layers, accumulated costs with their own decisions."""
+        """Number of layers: accumulated costs for which the policy has decisions of their own."""
         return int(self.decision.shape[0])
 
     @property
@@ -95,7 +97,7 @@ class CostAwarePolicy(Policy):
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """Layers, and the rule that chooses a tail."""
+        """Key of the memory's meaning: the layers, and the rule that chooses a tail."""
         levels = b"" if self.levels is None else self.levels.tobytes()
         kept = self.cap, self.unit, self.rounds_up, len(self.tails)
         return *kept, self.tail_threshold.tobytes(), levels
@@ -117,7 +119,7 @@ class CostAwarePolicy(Policy):
         return self._memory_at(nothing, self.tail_threshold[states] <= 0.0)
 
     def layers(self) -> CostLayers | None:
-        """Return the decisions by layers of cost; None if a cost is no multiple, or too large."""
+        """Return decisions by layer; None if costs are not multiples of the unit, or too large."""
         if self.levels is not None:
             return self._level_layers(self.levels)
         given = self.model.costs
@@ -154,8 +156,8 @@ class CostAwarePolicy(Policy):
         """Add a cost to the cost-aware policy's memory; at the cap switch to a tail.
 
         Raises:
-            ModelError: a cost is negative or not finite, or no whole number of layers and not
-                rounded.
+            ModelError: a cost is negative or not finite, or is not a multiple of the unit and is
+                not rounded.
         """
         _, successors, costs = step
         check_costs(costs)
@@ -175,7 +177,7 @@ class CostAwarePolicy(Policy):
         return np.where(acting, self._memory_at(layer, is_late), memory)
 
     def _passed(self, units: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return the numbers of whole layers in costs, and a mask of costs that are no multiple."""
+        """Return costs in whole layers, and a mask of costs that are not multiples of the unit."""
         if self.rounds_up:
             passed = np.minimum(np.ceil(units * (1.0 - SAME_TOTAL)), _FAR)
             return passed, np.zeros(units.shape, dtype=np.bool_)
@@ -183,10 +185,11 @@ class CostAwarePolicy(Policy):
         return steps, ~(np.abs(units - steps) <= _NEAR)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
-        """Return the decisions by levels of cost, then by the tails that are followed.
+        """Return decisions by layer: one layer for each level, and further ones beyond the cap.
 
-        Steps that only end episodes lead to the next layer, where that makes no difference. None if
-        the layers beyond are too many.
+        The layers beyond the cap distinguish totals that lead to different tails. None: there would
+        be too many of them. A cost paid only in steps that end an episode leads to no layer of its
+        own: it moves up by one layer.
         """
         cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
         goes_on = (self.tails[0] != UNDECIDED)[self.model.successors]
@@ -208,7 +211,7 @@ class CostAwarePolicy(Policy):
         even = _evenly_spaced(levels, costs[moving], int(passed.max(initial=0)))
 
         def leads(level: int) -> IntArray:
-            """Return the layers that a step of each cost passes from a level, [costs]."""
+            """Return by how many layers a step of each cost moves up from a level, [costs]."""
             if level < even:
                 return passed
             return np.where(moving, reached(levels[level] + costs) - level, 1)
@@ -226,11 +229,11 @@ class CostAwarePolicy(Policy):
         )
 
     def _separating(self, levels: FloatArray, costs: FloatArray) -> FloatArray:
-        """Return the tail thresholds that lie between possible totals, increasing.
+        """Return the tail thresholds beyond the cap that separate possible totals, increasing.
 
         Args:
-            levels: increasing, the last one after all layers.
-            costs: of steps after which an episode may go on, increasing.
+            levels: levels of accumulated cost, increasing; the last one is the cap.
+            costs: costs of steps after which an episode may go on, increasing.
         """
         near = levels[:-1][levels[:-1] >= levels[-2] - costs.max(initial=0.0)]
         last = levels[-2] + costs.max(initial=0.0)
@@ -246,7 +249,7 @@ class CostAwarePolicy(Policy):
         return np.asarray(edges[is_apart[: len(edges)]])
 
     def _memory_at(self, layer: IntArray, is_late: BoolArray) -> IntArray:
-        """Return the memory at a layer or, from the cap on, of a tail: the last tail if late."""
+        """Return the memory: the layer below the cap, else a tail, the last one if ``is_late``."""
         tail = np.where(is_late, len(self.tails) - 1, 0)
         return np.where(layer < self.cap, layer, self.cap + tail)
 
@@ -258,12 +261,12 @@ class CostAwarePolicy(Policy):
 
 
 def _evenly_spaced(levels: FloatArray, costs: FloatArray, most: int) -> int:
-    """Return how many first levels are evenly spaced: a step passes equally many from each.
+    """Return the number of first levels from which each step moves up as far as from level 0.
 
     Args:
         levels: levels of a cost-aware policy, [levels].
-        costs: costs of its steps.
-        most: levels that a step from the first one passes.
+        costs: costs of its steps, [costs].
+        most: greatest number of levels by which a step from level 0 moves up.
     """
     units, count = costs / levels[1], np.arange(len(levels))
     is_even = np.abs(levels / levels[1] - count).max() <= _ROUNDING
@@ -272,18 +275,18 @@ def _evenly_spaced(levels: FloatArray, costs: FloatArray, most: int) -> int:
 
 
 def _nearest_cost_level(levels: FloatArray, totals: FloatArray) -> IntArray:
-    """Return the cost-aware policy's level nearest to each total, the lower of two."""
+    """Return the index of the level nearest to each total; the lower one of two equally near."""
     above = np.clip(np.searchsorted(levels, totals), 1, len(levels) - 1)
     is_below = totals - levels[above - 1] <= levels[above] - totals
     return np.where(is_below, above - 1, above)
 
 
 def levels_of(policies: Iterable[Policy], layers: int | None = None) -> FloatArray | None:
-    """Return the totals that a lottery's cost-aware member distinguishes; None: multiples of units.
+    """Return the levels of the first member with levels, [levels]; None if no member has any.
 
     Args:
-        policies: the members.
-        layers: number of levels below the last; None: any number.
+        policies: members of a lottery.
+        layers: number of levels below the last one that the member must have; None: any number.
     """
     found = (p.levels for p in policies if isinstance(p, CostAwarePolicy))
     told_apart = (levels for levels in found if levels is not None)

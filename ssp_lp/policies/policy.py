@@ -72,7 +72,7 @@ UNDECIDED: Final = -2
 _BY_EPISODE = ": play an episode, episode = policy.start(seed=0), and ask episode.action(state)"
 
 MOST_EPISODES: Final = 100_000_000
-"""Greatest number of episodes played side by side: about ten gigabytes."""
+"""Greatest number of episodes played side by side; they need about ten gigabytes."""
 
 Step = tuple[IntArray, IntArray, FloatArray]
 """Steps of episodes: pairs of the model, successors and costs, [episodes] each."""
@@ -92,18 +92,18 @@ class Branches(NamedTuple):
     )
 
     def kept(self, memory: IntArray) -> IntArray:
-        """Return the memory of each decision, given the memory of the situations, [branches]."""
+        """Return the memory after each decision, [branches], given ``memory`` [situations]."""
         return memory[self.situation] if self.memory is None else self.memory
 
     def gives_up(self, memory: IntArray) -> BoolArray:
-        """Return a mask of the decisions that give up, even if the policy goes on, [branches]."""
+        """Return a mask of the decisions that give up, also if they take an action, [branches]."""
         changes = self.kept(memory) != memory[self.situation]
         return np.asarray((self.pair == GIVE_UP_CODE) | changes)
 
 
 @dataclass(frozen=True, eq=False)
 class CostLayers:
-    """A decision for each (layer, state); beyond the last layer a tail is followed for good."""
+    """A decision for each (layer, state); beyond the last layer a tail policy acts for good."""
 
     decision: IntArray  # [layers, states] position in the state's pairs, or a code
     tails: IntArray  # [tails, states] pair, or a code
@@ -137,13 +137,13 @@ class _Playable(Report, ReadOnlyCopies, ABC):
 
     @explained
     def start(self, seed: Randomness | None = None, *, world: World = "model") -> Episode:
-        """Return a new episode of the policy; ``seed`` draws the lottery and actions.
+        """Return a new episode of the policy.
 
         The policy itself never changes: each episode has its own memory.
 
         Args:
-            seed: a generator, which continues from episode to episode, or a number, which gives
-                every episode the same draws.
+            seed: generator for the draws of the lottery and of actions, which continues from
+                episode to episode; or a number, with which every episode has the same draws.
             world: "model" if episodes are played in the policy's model. Then it is an error to
                 observe a step that the model does not have, to ask for an action in a state other
                 than the last observed one, or to observe twice after one action. "other" for any
@@ -245,7 +245,7 @@ class _Playable(Report, ReadOnlyCopies, ABC):
 
 
 class Policy(_Playable):
-    """A policy with a finite memory or none, which starts, decides and remembers.
+    """Base class of policies, with a finite memory or none.
 
     Its methods work on many episodes at once. The memory is an integer, which only the policy
     interprets. By default a policy has no memory.
@@ -268,7 +268,7 @@ class Policy(_Playable):
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """Key of its memory's meaning, equal for policies that understand each other's memory."""
+        """Key of the memory's meaning: policies with equal keys can use each other's memory."""
         return () if self.carrier is None else self.carrier.meaning
 
     @property
@@ -278,7 +278,7 @@ class Policy(_Playable):
 
     @property
     def weighted(self) -> tuple[tuple[float, Policy], ...]:
-        """The policy itself."""
+        """The policy as a lottery with a single member."""
         return ((1.0, self),)
 
     def memories(self) -> list[tuple[int, Hashable]]:
@@ -290,7 +290,7 @@ class Policy(_Playable):
         if self.carrier is not None:
             return self.carrier.memories()
         if (size := self.memory_size) is None:
-            raise ModelError(f"the memory of a {type(self).__name__} is unknown")
+            raise ModelError(f"the memory values of a {type(self).__name__} are unknown")
         return [(0, None)] if size == 1 else [(k, k) for k in range(size)]
 
     def listed_states(self, memory: int) -> IntArray:
@@ -330,13 +330,14 @@ class Policy(_Playable):
         """Return the policy's decisions with probabilities in each (state, memory)."""
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Return the policy's memory after steps of pairs to successors at costs, [episodes]."""
+        """Return the memory after steps; a step is a pair, a successor and a cost, [episodes]."""
         return memory if self.carrier is None else self.carrier.remember(memory, *step)
 
     def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the policy's memory after outcomes of pairs of the model, [episodes].
+        """Return the memory after steps that are known by pair and outcome, [episodes].
 
-        Like :meth:`remember`, unless the memory depends on more than successors and costs.
+        By default this is :meth:`remember` with the successors and costs of the outcomes. A memory
+        that distinguishes outcomes of equal successor and cost overrides it.
         """
         if self.carrier is not None:
             return self.carrier.remember_outcomes(memory, pairs, outcomes)
@@ -345,7 +346,7 @@ class Policy(_Playable):
 
     @property
     def ended(self) -> BoolArray:
-        """States in which the policy's episodes are over: goals, dead-ends, [states]."""
+        """Mask of states in which the policy's episodes are over: goals, dead-ends, [states]."""
         return np.asarray(self.model.goal_mask | dead_ends(self.model))
 
     @property
@@ -360,7 +361,7 @@ class Policy(_Playable):
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None
     ) -> tuple[IntArray, IntArray]:
-        """Draw a decision for each episode; return pairs and memories after it, [episodes] each.
+        """Draw a decision for each episode; return its pair and the memory after it, [episodes].
 
         Raises:
             ModelError: the policy has no decision in one of the states.
@@ -407,12 +408,13 @@ _OTHER_WORLD = "start(seed, world='other') plays in a world other than the model
 
 
 class EpisodeBatch:
-    """The members of a policy, each with the episodes that the lottery gave it. Mutable.
+    """Episodes of a policy that are played side by side, each by a drawn member. Mutable.
 
-    Your own loop calls ``actions`` and ``observe`` with the states of all episodes; ``begin``,
-    ``decide`` and ``remember`` take indices of episodes, states and pairs. An episode is over at a
-    goal, in a dead-end or after giving up, whatever is observed afterwards; but if the policy has
-    decisions after failing, the episode goes on with these, and ``failed`` is True.
+    Your own loop calls ``actions`` and ``observe`` with the labels of states of all episodes. The
+    library's simulation calls ``begin``, ``decide`` and ``remember``, which take indices of
+    episodes, states and pairs. An episode is over at a goal, in a dead-end or after giving up,
+    whatever is observed afterwards. If the policy has decisions after failing, a failed episode
+    goes on instead, and ``failed`` is True.
     """
 
     def __init__(
@@ -520,7 +522,7 @@ class EpisodeBatch:
         self._is_observed = True
 
     def begin(self, states: IntArray, going: BoolArray) -> None:
-        """Set the policies' memories of the episodes that do not end where they start."""
+        """Set the initial memories of the episodes ``going``; others end where they start."""
         for member, mine in self.shares(begun := np.flatnonzero(going)):
             self.memory[begun[mine]] = member.start_memory(states[begun[mine]])
 
@@ -553,11 +555,11 @@ class EpisodeBatch:
 
     @cached_property
     def _ends(self) -> BoolArray:
-        """States in which episodes of the policy are over, [states]."""
+        """Mask of states in which episodes of the policy are over, [states]."""
         return np.asarray(np.all([member.ended for member in self._members], axis=0))
 
     def _indices(self, states: Sequence[Hashable]) -> IntArray:
-        """Return the positions of the states of a batch's episodes."""
+        """Return the index of each episode's state from its label, [episodes]."""
         if len(states) != len(self._drawn):
             raise ModelError(f"{len(states)} states given for {len(self._drawn)} episodes")
         return np.array([self.model.index_of(state) for state in states], dtype=np.int64)
@@ -577,9 +579,9 @@ class Episode:
     def action(self, state: Hashable) -> Hashable:
         """Return the policy's action in this state; :data:`GIVE_UP` or None once it is over.
 
-        An episode is over after giving up, or at a goal or a dead-end, unless the policy has
-        decisions after failing, as it does if its problem counts quantities then. ``failed`` is
-        True once the goal is given up.
+        An episode is over after giving up, at a goal, or at a dead-end. If its problem counts
+        quantities after failing, the policy has decisions after failing and the episode goes on.
+        ``failed`` is True once the goal is given up.
 
         Raises:
             ModelError: the state is unknown, is not the observed one, or has no decision.
@@ -605,13 +607,13 @@ class Episode:
 
     @property
     def failed(self) -> bool:
-        """Whether the policy's episode has lost the goal or given up, by its last action."""
+        """Whether the goal was lost or given up before or by the last action."""
         return bool(self._alone.failed[0])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeterministicPolicy(Policy):
-    """One decision per state: a pair of the model, giving up, or no decision if it never acts."""
+    """One decision per state: a pair of the model, giving up, or none where it never acts."""
 
     model: SSP
     decision: IntArray  # [states] pair, GIVE_UP_CODE or UNDECIDED
@@ -663,7 +665,10 @@ class DeterministicPolicy(Policy):
 
 
 def _decided_pair(model: SSP, state: int, action: Hashable) -> int:
-    """Return the pair of a decision, GIVE_UP_CODE for ``GIVE_UP`` (or "give up", if no action)."""
+    """Return the pair of a state's action; GIVE_UP_CODE for giving up.
+
+    The text "give up" means giving up unless an action of the state has this name.
+    """
     own = map(model.action_of, model.pairs_of(state))
     if action is GIVE_UP or (action == GIVE_UP and action not in own):
         return GIVE_UP_CODE
@@ -675,8 +680,8 @@ def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = Fals
 
     Args:
         model: the model.
-        decision: [..., states].
-        as_positions: a decision is a position among the state's pairs.
+        decision: pair or code of each state, [..., states].
+        as_positions: pairs are given by their position among the pairs of their state.
     """
     low, high = model.pair_offsets[:-1], model.pair_offsets[1:]
     if as_positions:
@@ -748,10 +753,11 @@ class StochasticPolicy(Policy):
 
         Args:
             model: the model.
-            keys: memory * n_states + state of each decision; any order, repetitions allowed.
-            pairs: pair of the model or GIVE_UP_CODE, for each key.
-            flows: expected number of times that the decision is taken, for each key.
-            carrier: policy whose memory the keys have; None: no memory.
+            keys: situation of each decision, memory * n_states + state, in any order; repetitions
+                are allowed, [decisions].
+            pairs: pair of the model or GIVE_UP_CODE, [decisions].
+            flows: expected number of times that the decision is taken, [decisions].
+            carrier: policy whose memory is meant in ``keys``; None: no memory.
         """
         joint, back = np.unique(keys * (model.n_pairs + 1) + pairs + 1, return_inverse=True)
         flow = np.bincount(back, weights=flows).astype(np.float64)
@@ -775,7 +781,7 @@ class StochasticPolicy(Policy):
         return np.asarray(self.situation_key[first:last] - memory * n)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the policy's decisions with probabilities; UNDECIDED if none is listed."""
+        """Return the decisions with probabilities; UNDECIDED where no decision is listed."""
         key = np.asarray(memory, dtype=np.int64) * self.model.n_states + states
         at = np.searchsorted(self.situation_key, key)
         listed = np.append(self.situation_key, -1)[at] == key  # -1: a key that no situation has

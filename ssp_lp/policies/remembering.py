@@ -1,6 +1,7 @@
 """Policies with a memory: steps taken, a memory of your own, or several at once.
 
-Such a policy is computed on a product of model and memory, and translated to the model itself.
+Such a policy is computed on a product of the model with the memory, and then translated to the
+model.
 """
 
 from __future__ import annotations
@@ -39,14 +40,14 @@ from ssp_lp.policies.policy import (
 
 
 class _Carried(Policy):
-    """Policy with an own memory (digit) too: ``inner memory * len(digits) + digit``."""
+    """A policy that adds a digit to another's memory: ``inner memory * len(digits) + digit``."""
 
     inner: Policy
 
     @property
     @abstractmethod
     def digits(self) -> Sequence[Hashable]:
-        """Names of the values of the own memory."""
+        """Names of the values of the digit that this policy adds."""
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
@@ -64,7 +65,7 @@ class _Carried(Policy):
         return self.inner.goes_on
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the own memories, each with the inner policy's memories if it has any."""
+        """Return the names of the memories: the digit, and any memory of the inner policy."""
         return [
             (code * len(self.digits) + k, word if words is None else (word, words))
             for k, word in enumerate(self.digits)
@@ -72,11 +73,11 @@ class _Carried(Policy):
         ]
 
     def split(self, memory: IntArray) -> tuple[IntArray, IntArray]:
-        """Split a memory into the inner policy's and this policy's part, [episodes] each."""
+        """Split memories into the inner policy's memory and the digit, [episodes] each."""
         return np.divmod(memory, len(self.digits))
 
     def joined(self, inner: IntArray, digit: IntArray | int) -> IntArray:
-        """Return the memory made of an inner and an own one, [episodes]."""
+        """Return the memory that consists of an inner memory and a digit, [episodes]."""
         return np.asarray(inner * len(self.digits) + digit)
 
 
@@ -85,8 +86,8 @@ class _Carried(Policy):
 class TimedPolicy(_Carried):
     """One policy for each time step; the last one acts in all later steps (paper, section 3.4).
 
-    The stages must share one memory: each must understand the memory of all others. Its own memory
-    is the stage.
+    The memory consists of the number of the stage and of one memory that all stages share, which
+    must have the same meaning for all of them.
 
     Raises:
         ModelError: no stages, or stages on different models.
@@ -102,12 +103,12 @@ class TimedPolicy(_Carried):
 
     @property
     def inner(self) -> Policy:  # type: ignore[override]
-        """First stage, whose memory is updated."""
+        """First stage; its rule updates the memory that the stages share."""
         return self.stages[0]
 
     @property
     def digits(self) -> Sequence[Hashable]:
-        """Stages by number."""
+        """Numbers of the stages."""
         return range(len(self.stages))
 
     @property
@@ -118,7 +119,7 @@ class TimedPolicy(_Carried):
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """Number of stages, and the meaning of their own memory."""
+        """Number of stages, and the meaning of the memory that they share."""
         return len(self.stages), *self.inner.meaning
 
     def start_memory(self, states: IntArray) -> IntArray:
@@ -126,7 +127,7 @@ class TimedPolicy(_Carried):
         return self.joined(self.inner.start_memory(states), 0)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decisions of each situation's stage."""
+        """Return in each situation the decisions of the stage that its memory names."""
         inner, stage = self.split(memory)
         parts = []
         for number in np.unique(np.append(stage, 0)):
@@ -135,7 +136,7 @@ class TimedPolicy(_Carried):
         return merged(memory, *parts)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Update the stages' memory, and go on to the next stage."""
+        """Update the shared memory, and move on to the next stage."""
         inner, stage = self.split(memory)
         moved = self.inner.remember(inner, *step)
         return self.joined(moved, np.minimum(stage + 1, len(self.stages) - 1))
@@ -146,7 +147,7 @@ class TimedPolicy(_Carried):
 
 
 def asked(policy: Policy, some: IntArray, states: IntArray, memory: IntArray) -> Branches:
-    """Return a policy's decisions in selected situations, with the numbers of these situations."""
+    """Return a policy's decisions in the situations ``some``, which are indices into the arrays."""
     branches = policy.branches(states[some], memory[some])
     return branches._replace(situation=some[branches.situation])
 
@@ -163,9 +164,10 @@ def merged(memory: IntArray, *parts: Branches) -> Branches:
 
 @dataclass(frozen=True, eq=False)
 class JointMemory(Policy):
-    """A policy that keeps the memories of several policies in one number.
+    """A policy that updates the memories of several policies, the keepers, and decides as another.
 
-    The memory is a mixed-radix number; its leading digit is the first policy's memory.
+    The memory is a mixed-radix number whose digits are the keepers' memories, the first one
+    leading.
     """
 
     keepers: tuple[Policy, ...]  # one for each memory, all of which have a known size
@@ -173,12 +175,12 @@ class JointMemory(Policy):
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """Model of the deciding policy."""
+        """Model of the policy that decides."""
         return self.decider.model
 
     @property
     def memory_size(self) -> int | None:
-        """Number of values of all memories together."""
+        """Number of values of the joint memory."""
         return prod(self._sizes)
 
     @property
@@ -187,13 +189,13 @@ class JointMemory(Policy):
         return tuple(keeper.meaning for keeper in self.keepers)
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the tuples of the keepers' memories."""
+        """Return the values of the joint memory, named by tuples of the keepers' names."""
         parts = every_choice(*(keeper.memories() for keeper in self.keepers))
         joint = [tuple(zip(*some, strict=True)) for some in parts]
         return [(int(np.ravel_multi_index(codes, self._sizes)), words) for codes, words in joint]
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states that all keepers list for their parts of a memory, [states]."""
+        """Return the states that every keeper lists for its part of a memory, [states]."""
         listed = [keeper.listed_states(int(part)) for keeper, part in self._parts(memory)]
         return reduce(np.intersect1d, listed, np.arange(self.model.n_states))
 
@@ -203,7 +205,7 @@ class JointMemory(Policy):
         return np.asarray(np.ravel_multi_index(parts, self._sizes))
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decider's decisions, given its own part of a joint memory."""
+        """Return the decisions of ``decider``, given its part of a joint memory."""
         meaning = self.decider.meaning
         mine = (part for keeper, part in self._parts(memory) if keeper.meaning == meaning)
         own = next(mine, None)
@@ -226,7 +228,7 @@ class JointMemory(Policy):
 
 
 def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
-    """Return one member of a lottery for each kind of memory that its members have.
+    """Return one member of a lottery for each meaning of memory among its members.
 
     Raises:
         ModelError: a member is of a class with unknown memory.
@@ -234,7 +236,7 @@ def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
     keepers: dict[tuple[object, ...], Policy] = {}
     for member in policy.policies:
         if member.memory_size is None:
-            raise ModelError(f"the memory of a {type(member).__name__} is unknown")
+            raise ModelError(f"the memory values of a {type(member).__name__} are unknown")
         if member.memory_size > 1:
             keepers.setdefault(member.meaning, member)
     return tuple(keepers.values())
@@ -242,9 +244,9 @@ def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RememberingPolicy(_Carried):
-    """A policy of (state, memory) that acts on states and updates the memory itself.
+    """A policy on a product (state, memory) that acts on the original model's states.
 
-    Its own memory is the product's.
+    It updates the product's memory itself, which is the digit of its own memory.
     """
 
     inner: Policy  # on the product
@@ -274,18 +276,18 @@ class RememberingPolicy(_Carried):
         return self.product.memories
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states that have a decision with this memory, [states]."""
+        """Return the original states in which the policy may have a decision with this memory."""
         inner, number = divmod(memory, len(self.product.memories))
         listed = self.inner.listed_states(inner)
         here = listed[self.product.labels.number[listed] == number]
         return np.sort(self.product.original_state[here])
 
     def begins(self, states: IntArray) -> BoolArray:
-        """Return a mask of states that the product has with its initial memory, [episodes]."""
+        """Return a mask of states that occur in the product with the initial memory, [episodes]."""
         return np.asarray(self.product.table[states, self.product.first_memory(states)] >= 0)
 
     def reaches(self, states: IntArray, memory: IntArray) -> BoolArray:
-        """Return a mask of episodes at the product's goal by their memory, [episodes]."""
+        """Return a mask of episodes that are at a goal of the product, [episodes]."""
         inner, number = self.split(memory)
         return self.inner.reaches(self.product.at(states, number), inner)
 
@@ -297,13 +299,13 @@ class RememberingPolicy(_Carried):
 
     @property
     def ended(self) -> BoolArray:
-        """Goals, and dead-ends unless the inner policy acts there without memory, [states]."""
+        """Mask of goals, and of dead-ends in which the inner policy never acts, [states]."""
         over = super().ended.copy()
         over[self.product.original_state[~self.inner.ended]] = False
         return over
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decisions as pairs of the original; giving up where the goal is lost."""
+        """Return the decisions as original pairs; GIVE_UP_CODE where the goal cannot be reached."""
         product, (inner, number) = self.product, self.split(memory)
         here = product.at(states, number)
         inside = self.inner.branches(here, inner)
@@ -317,7 +319,7 @@ class RememberingPolicy(_Carried):
         return Branches(inside.situation, pair, inside.probability, kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Update the product's memory with each step, and the inner policy's, [episodes].
+        """Return the memories of product and inner policy after each step, [episodes].
 
         Raises:
             ModelError: a cost is negative or not finite, or a step leads to a memory that the
@@ -332,7 +334,7 @@ class RememberingPolicy(_Carried):
         return self.joined(moved, product.labels.number[there])
 
     def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
-        """Update the product's memory with outcomes, and the inner policy's, [episodes]."""
+        """Return the memories of product and inner policy after outcomes, [episodes]."""
         product, (inner, begun) = self.product, self.split(memory)
         taken = product.placed(product.at(self.model.pair_state[pairs], begun), pairs)
         there, places = product.moved_by(taken, outcomes)
@@ -346,10 +348,11 @@ class RememberingPolicy(_Carried):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LabelledPolicy(_Carried):
-    """A policy of (state, failure label) that acts on states, also after failing.
+    """A policy on (state, failure label) that acts on the original states, also after failing.
 
-    Giving up is combined with an action, and remembered as "giving up". In a dead-end the policy
-    continues if its problem counts quantities there. Its own memory is the label.
+    To give up, it takes an action; until the step is observed, the memory is "giving up". In a
+    dead-end the policy goes on acting if its problem counts quantities there. The digit of its
+    memory is the label.
     """
 
     inner: Policy  # on the product with the label
@@ -368,7 +371,7 @@ class LabelledPolicy(_Carried):
 
     @property
     def ended(self) -> BoolArray:
-        """Goals, and dead-ends after which nothing counts, [states]."""
+        """Mask of goals, and of dead-ends in which the problem counts no quantities, [states]."""
         return super().ended & ~self.product.is_open
 
     @property
@@ -379,7 +382,7 @@ class LabelledPolicy(_Carried):
         return decision
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states with decisions before failing, or after it, [states]."""
+        """Return the states with a decision before failing, or after it if ``memory`` says so."""
         failed = memory % len(self.digits) > 0
         return np.flatnonzero(self.product.is_open if failed else ~self.ended)
 
@@ -388,7 +391,7 @@ class LabelledPolicy(_Carried):
         return self.joined(self.inner.start_memory(states), _Label.BEFORE)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decisions of a policy that remembers failing, as original pairs."""
+        """Return the decisions as original pairs; the memory says whether they give up."""
         product, (inner, label) = self.product, self.split(memory)
         here = states + product.n_original * (label == _Label.AFTER)
         situation, pair, chance, _ = self.inner.branches(here, inner)
@@ -406,7 +409,8 @@ class LabelledPolicy(_Carried):
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
         """Update the failure label, and the inner policy's memory, [episodes].
 
-        The inner policy does not count costs after failing.
+        The inner policy's memory gets the charge as the cost of the step that fails, and 0 for
+        later steps.
         """
         pairs, successors, costs = step
         product, (inner, label) = self.product, self.split(memory)
@@ -415,7 +419,7 @@ class LabelledPolicy(_Carried):
         taken = np.where(taking, product.giving_up_by(pairs), product.placed(here, pairs))
         if (taken < 0).any():
             pair_words = self.model.describe_pair(int(pairs[int(np.argmax(taken < 0))]))
-            raise ModelError(f"{pair_words} may lead to the goal: it is not taken after failing")
+            raise ModelError(f"{pair_words} may lead to the goal: no policy takes it after failing")
         moved = product.moved(taken, successors, costs)
         failed = product.after[moved]
         charge = product.costs[product.outcome_offsets[taken]]
@@ -430,7 +434,7 @@ class LabelledPolicy(_Carried):
 
 
 class _Label(enum.IntEnum):
-    """Failure label in a policy's memory."""
+    """Values of the failure label in a policy's memory."""
 
     BEFORE = 0
     GIVING_UP = 1  # with the next action
@@ -441,8 +445,9 @@ class _Label(enum.IntEnum):
 class CompletePolicy(_Carried):
     """A policy that extends another one to all states with actions.
 
-    Its own memory is 0 while the inner policy acts, 1 once the inner policy's episode is over
-    (given up, or at a dead-end), and 2 in episodes that begin where the inner policy cannot begin.
+    The digit of its memory is 0 while the inner policy acts, 1 once the inner policy's episode is
+    over (it gave up, or is in a dead-end), and 2 in an episode that begins in a state in which the
+    inner policy cannot begin.
 
     Raises:
         ModelError: a decision is not a pair of its state.
@@ -461,17 +466,17 @@ class CompletePolicy(_Carried):
 
     @property
     def ended(self) -> BoolArray:
-        """Goals, and states without an action, [states]."""
+        """Mask of goals and states without actions, [states]."""
         return np.asarray(self.model.goal_mask | (np.diff(self.model.pair_offsets) == 0))
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the inner policy's memories, "over", and "elsewhere" if it cannot begin there."""
+        """Return the inner memories, "over" and, if episodes may begin elsewhere, "elsewhere"."""
         known = [(3 * code, words) for code, words in self.inner.memories()]
         begins = self.inner.begins(np.arange(self.model.n_states)).all()
         return [*known, (1, "over"), *([] if begins else [(2, "elsewhere")])]
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states with actions, of the inner policy's product if it has one."""
+        """Return the states with actions that occur with this memory, [states]."""
         inner, alone = divmod(memory, 3)
         acting = np.diff(self.model.pair_offsets) > 0
         of_product = isinstance(self.inner, RememberingPolicy) and not alone
@@ -485,7 +490,7 @@ class CompletePolicy(_Carried):
         return memory
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the inner policy's decisions, or the stored ones where it has none."""
+        """Return the inner policy's decisions; without one, ``otherwise`` or ``afterwards``."""
         inner, alone = self.split(memory)
         over = (alone == 1) | self.inner.ended[states]
         found = asked(self.inner, np.flatnonzero(~over & (alone == 0)), states, inner)
@@ -515,7 +520,7 @@ class CompletePolicy(_Carried):
 
 
 Default = Hashable | Mapping[Hashable, Hashable] | DeterministicPolicy
-"""An action wherever it exists, ``{state: action}``, or the decisions of a policy."""
+"""An action for all states that have it, ``{state: action}``, or a policy without memory."""
 
 
 @explained
@@ -527,17 +532,18 @@ def acting_everywhere(
 ) -> MixedPolicy:
     """Return a policy that acts in every state of its model that has actions, except at goals.
 
-    It acts as the given policy where this has a decision; after giving up and in dead-ends only if
-    the policy's problem counts quantities after failing. Otherwise it avoids the goal surely there,
-    if possible. ``default`` takes precedence over these rules and over ``otherwise``.
+    Where the given policy has a decision, it takes that. After giving up and in dead-ends the given
+    policy has decisions only if its problem counts quantities after failing; if it has none there,
+    an action is taken that surely avoids the goal, if there is one. ``default`` takes precedence
+    over actions that avoid the goal and over ``otherwise``.
 
     Args:
         policy: any policy, or a lottery.
-        default: an action, for all states that have it, ``{state: action}``, or a policy without
-            memory; None: none.
-        otherwise: pairs where the policy has no decision, [states]; None: the first of each state.
-            ``Solution.policy_everywhere`` uses better ones.
-        afterwards: pairs after giving up and in dead-ends, [states]; None: pairs that avoid
+        default: an action, taken in all states that have it; ``{state: action}``; or a policy
+            without memory; None: no default.
+        otherwise: pairs to take where the policy has no decision, [states]; None: the first pair of
+            each state. ``Solution.policy_everywhere`` chooses better pairs.
+        afterwards: pairs to take after giving up and in dead-ends, [states]; None: pairs that avoid
             the goal.
 
     Raises:
@@ -578,10 +584,10 @@ def acting_everywhere(
 
 @explained
 def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """Translate a policy of a product to the original model; it then updates the memory itself.
+    """Translate a policy on a product to a policy on the original model, which keeps the memory.
 
     Args:
-        policy: such as a solution's, of a problem on ``product(model, memory)``.
+        policy: policy on a product, such as that of a solution on ``product(model, memory)``.
 
     Raises:
         ModelError: its model is not a product.

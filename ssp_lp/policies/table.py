@@ -56,8 +56,8 @@ class PolicyTable(Report, Sequence[PolicyRow]):
     - the time step, or (time step, memory of the stage) (timed policies);
     - the product's memory, or (product's memory, memory of the inner policy);
     - "before failing", "giving up" and "after failing", alone or with the inner memory;
-    - "over" and "elsewhere" in a policy that acts everywhere: after the inner policy has ended, or
-      in an episode that begins in a state in which the inner policy cannot begin;
+    - "over" and "elsewhere" in a policy that acts everywhere: after the end of the policy that it
+      extends, or in an episode that begins where that policy cannot begin;
     - a tuple, if several of these are remembered together.
 
     Example:

@@ -1,1 +1,1 @@
-"""Substochastic processes: augmentations of a model, on which criteria are solved."""
+"""Augmentations of a model, as substochastic processes, on which criteria are solved."""

@@ -1,8 +1,9 @@
 """Checked constraints on a model, and their rows in a program.
 
-Every row is ``<coefficients, x> <= bound`` with coefficients >= 0, so that it is a cost at every
-price. A lower bound on a probability is an upper bound on its complement. Visits and costs are
-unbounded and have no complement, so this form has no lower bound on them.
+Every row is ``<coefficients, x> <= bound`` with coefficients >= 0, so that price times coefficient
+is a non-negative cost for every price. A lower bound on a probability is stated as an upper bound
+on its complement. Visits and costs are unbounded and have no complement, so they cannot be bounded
+from below.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ RESERVED = {
 
 @dataclass(frozen=True, eq=False)
 class StepTerm:
-    """A cost of steps, given as the cost of a copy of the model."""
+    """A quantity that adds up a cost of each step; the cost is that of a copy of the model."""
 
     model: SSP
     through: bool = False  # also costs after failing
@@ -47,13 +48,19 @@ class StepTerm:
         return costless_pairs(self.model)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Return the cost of each pair, [pairs], and at the source."""
+        """Return the expected cost of each process pair, [pairs], and of the start.
+
+        The second number is the cost of episodes that begin, and end, in a dead-end.
+        """
         return counting.cost(self.model)
 
 
 @dataclass(frozen=True, eq=False)
 class ArrivalTerm:
-    """Arrivals in some states, the start included; or, if ``others``, ends anywhere else."""
+    """A quantity that counts arrivals in a set of states, a start there included.
+
+    If ``others``, it counts instead the episodes that end outside the set.
+    """
 
     model: SSP
     states: BoolArray  # [states]
@@ -63,13 +70,19 @@ class ArrivalTerm:
 
     @property
     def free(self) -> BoolArray:
-        """Mask of the pairs that never arrive in the states, [pairs]; all pairs if final."""
+        """Mask of the pairs that never arrive in the states, [pairs].
+
+        If episodes end in all of them, staying for ever never arrives: the mask has all pairs.
+        """
         if self.final:
             return np.ones(self.model.n_pairs, dtype=np.bool_)
         return ~pairs_into(self.model, self.states)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Return the probability of arriving in the states, [pairs], and at the source."""
+        """Return the probability that each process pair arrives in the states, [pairs].
+
+        The second number is the probability that an episode begins, and ends, in one of them.
+        """
         if self.others:
             return counting.other_endings(self.states)
         return counting.arrivals(self.states)
@@ -80,7 +93,7 @@ Term = StepTerm | ArrivalTerm
 
 @dataclass(frozen=True, eq=False)
 class UpperRow:
-    """``<coefficients, x> <= bound``: terms with weights > 0 and a constant >= 0."""
+    """A row ``<coefficients, x> <= bound``: a sum of terms with weights > 0 and a constant >= 0."""
 
     name: str
     told: str  # description of the limited quantity
@@ -94,9 +107,10 @@ class UpperRow:
 
     @property
     def by_digits(self) -> UpperRow:
-        """The form of the row (with or without complements) whose bound loses fewer digits.
+        """The more accurate of two forms of the row: with or without complements.
 
-        Terms without complements may be negative where an episode ends.
+        Complements keep every coefficient >= 0. Without them the bound has more digits if it is
+        small, but coefficients may be negative where an episode ends.
         """
         direct = self.direct
         is_small = direct is not None and abs(direct.bound) < RARE_GOAL * abs(self.bound)
@@ -104,9 +118,9 @@ class UpperRow:
 
     @property
     def size(self) -> float:
-        """Magnitude of the numbers whose rounding decides whether the row is satisfied.
+        """Magnitude that the feasibility tolerance of the row is relative to.
 
-        If terms of both signs cancel, this is the magnitude of the terms, not of the bound.
+        It is the bound or, if terms of both signs cancel, the magnitude of the terms.
         """
         gains = [weight for weight, _ in self.terms] + [self.offset]
         lost = -sum(gain for gain in gains if gain < 0.0)
@@ -121,11 +135,14 @@ class UpperRow:
         return result
 
     def activity(self, value: float) -> float:
-        """Return the left side of the row at a value of the quantity."""
+        """Return the left side of the row for a value of the limited quantity."""
         return self.offset + self.sign * value
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Return the coefficient of each pair, [pairs], and at the source."""
+        """Return the coefficient of each process pair, [pairs], and of the start.
+
+        The second number counts the episodes that end where they begin.
+        """
         row, source = np.zeros(len(counting.goal)), 0.0
         if self.constant > 0.0:
             ends, there = counting.endings()
@@ -138,7 +155,7 @@ class UpperRow:
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """A constraint whose names have been looked up in a model."""
+    """A constraint on a model, with its names of states, labels and costs looked up there."""
 
     name: str
     model: SSP
@@ -149,10 +166,9 @@ class Condition:
 
     @property
     def wants_ends(self) -> bool:
-        """Whether the constraint counts an end other than the goal.
+        """Whether the constraint counts ends other than the goal.
 
-        A policy on its way to such an end fails only when it arrives there, although it cannot
-        reach the goal any more.
+        Then a policy that can no longer reach the goal has not failed until it arrives at an end.
         """
         goal = self.model.goal_mask
         return any(
@@ -163,7 +179,7 @@ class Condition:
 
     @property
     def least_goal(self) -> float:
-        """Least goal probability that the constraint implies; 0: none."""
+        """Least goal probability that the constraint implies; 0 if it implies none."""
         goal, weights = self.model.goal_mask, [weight for weight, _ in self.terms]
         among = all(
             isinstance(term, ArrivalTerm) and term.final and not term.others
@@ -213,8 +229,8 @@ class Condition:
                 if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
                         f"constraint {self.name!r} bounds costs, visits or exceeds(...) from "
-                        "below: add a row of your own to problem.program() instead (not with "
-                        "criteria of the total cost)"
+                        "below: add a row of your own to problem.program() instead (criteria of "
+                        "the total cost have no such rows)"
                     )
                 offset -= weight
                 term, weight = replace(term, others=not term.others), -weight

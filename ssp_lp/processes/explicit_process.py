@@ -1,13 +1,15 @@
 """An explicit substochastic process, and its contraction at a vector of prices.
 
-A contraction makes each end component that is free at the prices one state.
+An end component is *free* at the prices if its pairs cost nothing there. If some prices are 0, it
+may be free although it adds to a row of price 0. A contraction merges each free end component to
+one state:
 
-If some prices are 0, a process may have end components that cost nothing at the prices, although
-they add to a row of price 0. They are free in the pricing problem (mathematics, section 4): all
-states of such a component have the same value. Therefore a value function on the contraction proves
-as much as one on the process. A policy on the contraction is a policy on the process that first
-moves to the chosen pair. Rounding cannot make a policy improve around a free cycle. A contraction
-only removes pairs that stay, and no policy may stay in a component for ever.
+- All states of a free end component have the same value (mathematics, section 4). A value function
+  on the contraction therefore proves the same bound as one on the process.
+- A policy on the contraction is a policy on the process that first moves to the chosen pair.
+- Rounding cannot make a policy improve around a free cycle, because the contraction has none.
+
+A contraction removes only pairs that stay in a component. No policy may stay there for ever.
 """
 
 from __future__ import annotations
@@ -32,10 +34,11 @@ _LITTLE = 1e-5  # visits of such a pair that are noise of a solver
 
 @dataclass(frozen=True, eq=False)
 class ExplicitProcess:
-    """A process in which goal, failure, giving up and discounting remove mass.
+    """A process whose runs end by reaching the goal or by failing, which includes giving up.
 
-    The rows satisfy ``transitions.sum(axis=1) + goal + failure == 1``: mass that leaves has reached
-    the goal or counts as failure (mathematics, section 3).
+    Each row satisfies ``transitions.sum(axis=1) + goal + failure == 1``: mass that leaves the
+    process has reached the goal or has failed. With a discount, the mass that each step loses
+    counts as failure (mathematics, section 3).
     """
 
     pair_offsets: IntArray  # [states + 1]
@@ -57,7 +60,7 @@ class ExplicitProcess:
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Dynamics of the process, without costs."""
+        """Transitions of the process by pair, and the mass of each pair that ends; no costs."""
         return Dynamics(self.pair_offsets, self.transitions, self.goal + self.failure)
 
     @cached_property
@@ -106,7 +109,10 @@ def reachable_part(process: ExplicitProcess, start: FloatArray) -> ReachablePart
 
 @dataclass(frozen=True, eq=False)
 class Contraction:
-    """A process without the pairs inside its free end components, sorted by node."""
+    """A process in which each free end component is merged to one node.
+
+    Its pairs are those of the process that lie in no free end component, sorted by node.
+    """
 
     dynamics: Dynamics  # of the nodes
     pairs: IntArray  # [kept pairs] pair of the process
@@ -120,14 +126,14 @@ class Contraction:
         return result
 
     def begun(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
-        """Return a policy that leaves the contraction, from one that leaves the process, [nodes].
+        """Translate a policy of the process to one of the contraction, [nodes].
 
-        Each node takes the pair of its state that is nearest to leaving, in number of steps. This
-        pair leads out of the node, to a nearer node.
+        Both end every run. Each node takes the pair of the member from which the policy needs the
+        fewest steps to end a run. This pair leads out of the node.
 
         Args:
             process: the process.
-            choice: pair of the process, [states].
+            choice: a policy of the process that ends every run: the pair of each state, [states].
         """
         taken, distance = np.zeros(process.n_pairs, dtype=np.bool_), np.zeros_like(choice, np.int32)
         taken[choice] = True
@@ -139,11 +145,13 @@ class Contraction:
         return place[choice[order[first]]]
 
     def expanded(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
-        """Return the policy on the process that moves, at no cost, to the chosen pairs, [states].
+        """Translate a policy of the contraction to one of the process, [states].
+
+        Within a free end component the policy moves, at no cost, to the state of the chosen pair.
 
         Args:
             process: the process.
-            choice: pair of the contracted process, [nodes].
+            choice: the contraction's pair of each node, [nodes].
         """
         chosen = np.zeros(process.n_pairs, dtype=np.bool_)
         chosen[self.pairs[choice]] = True
@@ -159,15 +167,17 @@ def bound_of(
     floor: float = -np.inf,
     choice: IntArray | None = None,
 ) -> DualBound:
-    """Return a checked sub-solution of an explicit process, proved on its contraction.
+    """Return checked lower bounds of the least expected total cost from each state.
+
+    Given values are lowered until no backup decreases them, on the contraction if there is one.
 
     Args:
         process: the process.
-        smaller: the contraction at the cost, or None.
+        smaller: the contraction of end components that are free at the cost, or None.
         pair_cost: [pairs].
         values: near-optimal values, [states].
-        floor: a constant sub-solution, in addition to the greatest one.
-        choice: a policy of about these values that leaves, [states].
+        floor: a constant known to be a lower bound in every state.
+        choice: a policy of about these values that ends every run, [states], or None.
     """
     # the least constant is optimal if the cheapest way to end costs the same everywhere;
     # lowering other values to it would take many steps
@@ -180,10 +190,11 @@ def bound_of(
 
 
 def least_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
-    """Return the greatest constant v with ``exit_u v <= c_u`` for every pair u.
+    """Return the greatest constant that a backup shows to be a lower bound of the cost.
 
-    It is a sub-solution, at least 0 if no cost is negative. It is -inf if a pair without exit has a
-    negative cost, since then no constant is a sub-solution.
+    It is the greatest v with ``exit_u v <= c_u`` for every pair u, where ``exit_u`` is the mass
+    that ends. It is at least 0 if no cost is negative, and -inf if a pair that ends no mass has a
+    negative cost.
 
     Args:
         process: the process.
@@ -198,14 +209,14 @@ def least_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
 
 
 def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
-    """Contract the end components of the pairs that cost nothing.
+    """Merge each end component of pairs that cost nothing to one node.
 
     Args:
         process: the process.
         free: pairs that cost nothing at the prices, [pairs].
 
     Returns:
-        The contraction; None if there are no such components.
+        The contraction; None if these pairs have no end component.
     """
     free = free & (process.goal == 0.0) & (process.failure == 0.0)
     if not free.any():
@@ -247,9 +258,9 @@ class PricedMinimum:
     excess: FloatArray  # [pairs] reduced costs
 
     def without_noise(self, visits: FloatArray) -> FloatArray:
-        """Return the visits, with 0 for suboptimal pairs, [pairs].
+        """Return the visits, [pairs], with small visits of suboptimal pairs set to 0.
 
-        Interior-point solutions give small visits to every pair.
+        They are noise of interior-point solvers, which give small visits to every pair.
         """
         scale = 1.0 + abs(self.bound)
         noise = (self.excess > _NOT_BEST * scale) & (visits < _LITTLE)

@@ -1,7 +1,8 @@
 """The failure label {s, f} of case M (paper, section 3.1.2) as a substochastic process.
 
-States with label f cost nothing more and never reach the goal. They are left out: a pair that gives
-up removes its mass as failure. The states with label s remain.
+Label s means that the run has not failed, label f that it has. States with label f cost nothing
+more and never reach the goal. They are left out: a pair that gives up removes its mass as failure.
+Only the states with label s remain.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from ssp_lp.processes.quotient import Quotient, build_quotient
 
 @dataclass(frozen=True, eq=False)
 class FailureLabelled:
-    """The process of case M, with the map back to the model."""
+    """The process of case M, and the translation of its policies to the model."""
 
     process: ExplicitProcess
     quotient: Quotient
@@ -57,10 +58,11 @@ class FailureLabelled:
     def nearer_goal(self, *, safely: bool = False) -> IntArray | None:
         """Return a pair of each state that may come nearer to the goal, [states]; -1: none.
 
-        The result is None if it must be found on the process itself (see ``Quotient.nearer``).
+        The result is None if components of the model are merged in the process: then the search
+        must run on the process itself (see ``Quotient.nearer``).
 
         Args:
-            safely: use only pairs without risk of a dead-end, if these suffice.
+            safely: whether to prefer pairs that cannot lead to a dead-end.
         """
         model = self.quotient.model
         nearer = self.quotient.nearer(goal_pairs(model))
@@ -71,7 +73,9 @@ class FailureLabelled:
         return None if nearer is None else self._with_source(nearer)
 
     def placed(self, decision: IntArray) -> IntArray | None:
-        """Translate a policy of the model to a choice in the process, [states]; None: not possible.
+        """Translate a policy of the model to a policy of the process, [states].
+
+        The result is None if this is impossible: the process merges components, or it lacks a pair.
 
         Args:
             decision: pair of the model, negative for none, [model states].
@@ -82,7 +86,7 @@ class FailureLabelled:
         return None if (choice < 0).any() else self._with_source(choice).astype(np.int32)
 
     def _with_source(self, choice: IntArray) -> IntArray:
-        """Return the choice with the pair of the source appended, if there is a source."""
+        """Return the choice, extended by the only pair of the source state if there is one."""
         if self.process.n_states == len(choice):
             return choice
         return np.append(choice, self.process.n_pairs - 1)
@@ -105,10 +109,11 @@ def label_failure(
         start: distribution over states, [states].
         semantics: where giving up is allowed, and the costs of failing. If failing is forbidden,
             only pairs from which the goal stays sure are kept.
-        discount: None: real probabilities. A number scales every transition, and the mass lost in
-            a non-goal state counts as failure (paper, section 3.5).
-        usable: pairs that may be used, [pairs]. If given, a policy may not give up or wander: this
-            is the second stage of a least-failure problem (mathematics, section 4).
+        discount: factor of every transition; the mass that is lost in a non-goal state counts as
+            failure (paper, section 3.5). None: no discount.
+        usable: pairs that may be used, [pairs]; None: all. If given, a policy may neither give up
+            nor stay for ever in a free end component: this is the second stage of a least-failure
+            problem (mathematics, section 4).
         side: further limits.
         objective: a quantity minimised instead of the aim of the semantics.
         quotient: the live part of the model, with the pairs that give up; None: built here.
@@ -155,10 +160,10 @@ def counting_of(
     semantics: FailureSemantics,
     discount: float | None = None,
 ) -> Counting:
-    """Return how further quantities are counted at the pairs of the process.
+    """Return the object that gives the coefficients of further quantities on the process.
 
     Args:
-        labelled: the process; only components that are free in all quantities are collapsed.
+        labelled: the process. Its collapsed components must add nothing to any quantity.
         start: distribution over states, [states].
         semantics: semantics of the process.
         discount: discount of the process.
@@ -172,13 +177,16 @@ def counting_of(
 def with_start(
     process: ExplicitProcess, quotient: Quotient, start: FloatArray, cost: float
 ) -> ExplicitProcess:
-    """Return the process with a start; mass on goals or dead-ends enters through a source.
+    """Return a process with its start distribution.
+
+    If some start mass lies on goals or dead-ends, a source state is added: its only pair leads to
+    the start states, to the goal and to failure.
 
     Args:
-        process: without a source.
+        process: the process, without a start.
         quotient: nodes and pairs of the process.
         start: distribution over states of the model, [states].
-        cost: of the source.
+        cost: cost of the pair of the source.
     """
     model, live_start = quotient.model, quotient.gather(start)
     at_goal = float(start[model.goal_mask].sum())

@@ -1,6 +1,7 @@
-"""Semantics of failure: where a policy may give up, the charges of failing, and the start.
+"""Semantics of failure: where a policy may give up, and what failing costs.
 
-The module also counts costs and arrivals at the pairs of an augmented process.
+The module also checks start distributions and budgets, and gives the coefficients of costs and
+arrivals at the pairs of an augmented process.
 """
 
 from __future__ import annotations
@@ -53,9 +54,10 @@ if TYPE_CHECKING:
 class GiveUp(enum.StrEnum):
     """States in which a policy of case M may give up (mathematics, section 2).
 
-    ``ANYWHERE`` is the linear program of Trevizan et al. (2017); ``ATTENTION`` is the paper's
-    stopping time of section 2.4: a policy may stop only where the goal can be avoided for sure;
-    with ``DEAD_ENDS`` it pays until a dead-end is entered, as in Storm.
+    - ``ANYWHERE``: in every state, as in the linear program of Trevizan et al. (2017).
+    - ``ATTENTION``: only where the goal can surely be avoided, as the paper's stopping time of
+      section 2.4.
+    - ``DEAD_ENDS``: nowhere; a run pays until it enters a dead-end, as in Storm.
     """
 
     ANYWHERE = "anywhere"
@@ -73,11 +75,12 @@ class Aim(enum.StrEnum):
 
 @dataclass(frozen=True)
 class FailureSemantics:
-    """The choices that define the value of an episode.
+    """Semantics of an episode: where a policy may give up, what failing costs, and the objective.
 
-    A penalty is paid for failing, in addition to the cost until then; under a discount it is paid
+    The penalty is paid for failing, in addition to the cost until then; with a discount it is paid
     for the discounted failure. An infinite penalty forbids failing: only policies that reach the
-    goal surely are feasible. A measure, if given, replaces the mean of the total cost of successes.
+    goal surely are feasible. A measure, such as a quantile, replaces the mean of the total cost of
+    successful runs.
     """
 
     give_up: GiveUp = GiveUp.ATTENTION
@@ -96,7 +99,7 @@ class FailureSemantics:
 
     @property
     def counts_law(self) -> bool:
-        """Whether a measure of the law of the total cost replaces its mean."""
+        """Whether a measure of the distribution of the total cost replaces its mean."""
         return self.measure is not None
 
     @property
@@ -107,12 +110,12 @@ class FailureSemantics:
         return cast("CostQuantileOf | TailMeanOf", self.measure)
 
     def worth_of(self, law: CostLaw) -> float:
-        """Return the measure, or the mean, of a law of the costs of successes."""
+        """Return the measure, or the mean, of a distribution of the costs of successful runs."""
         return law.conditional_mean if self.measure is None else self.measure.of(law)
 
     @property
     def failing_worth(self) -> float:
-        """Worth of a run that fails, by the measure; 0 without one."""
+        """Value that the measure gives to a run that fails; 0 without a measure."""
         return 0.0 if self.measure is None else self.measure.failing
 
     @property
@@ -128,7 +131,10 @@ class FailureSemantics:
 
     @property
     def sense(self) -> ObjectiveSense:
-        """Sense of the objective, unless a quantity is minimised instead."""
+        """Relation between the minimised value and the stated objective.
+
+        It does not apply if a quantity is the objective.
+        """
         if self.aim is Aim.GREATEST_GOAL:
             return ObjectiveSense(0.0)
         return ObjectiveSense(self.failing_worth) if self.maximises else AS_ASKED
@@ -144,30 +150,36 @@ _MOST_NAMED = 3  # most states of a start in an error
 
 @dataclass(frozen=True)
 class ObjectiveSense:
-    """Relation between the minimised value and the stated objective, such as a maximum."""
+    """Relation between the value that is minimised and the stated objective.
+
+    They differ, for example, if the stated objective is a maximum.
+    """
 
     constant: float | None = None  # a maximised objective is this minus the minimised value
     shift: float = 0.0  # added to the charge of every episode, so that no charge is negative
     offset: float = 0.0  # the minimised value minus the stated objective
 
     def worth(self, value: float) -> float:
-        """Return the stated objective of a minimised value."""
+        """Return the stated objective that belongs to a minimised value."""
         return value - self.offset if self.constant is None else self.constant - value
 
     def worth_of_bound(self, bound: float) -> float:
-        """Return the bound of the stated objective, rounded outwards if it is a difference."""
+        """Return the bound of the stated objective that belongs to a bound of the minimised value.
+
+        If it is a difference, it is rounded outwards.
+        """
         worth = self.worth(bound)
         if self.constant is None:
             return worth if worth + self.offset == bound else float(np.nextafter(worth, -np.inf))
         return worth if self.constant - worth == bound else float(np.nextafter(worth, np.inf))
 
     def settled_bound(self, value: float, bound: float, paid: float = 0.0) -> float:
-        """Return the bound, or the value if they differ by rounding only.
+        """Return the bound, or the value if the two differ only by rounding.
 
         Args:
             value: minimised value of a lottery.
-            bound: lower bound of every lottery.
-            paid: sum of price times bound of the rows, which a dual bound subtracts.
+            bound: lower bound of the minimised value of every lottery.
+            paid: sum over the rows of price times bound, whose rounding affects a dual bound.
         """
         taken = abs(self.offset if self.constant is None else self.constant)
         taken = max(taken, paid) if taken > 0.0 else 0.0  # 0 if the objective is not a difference
@@ -178,7 +190,7 @@ AS_ASKED = ObjectiveSense()
 
 
 def survival_of(discount: float | None) -> float:
-    """Return the factor of every transition: the discount, 1 in the exact setting."""
+    """Return the factor of every transition probability: the discount, or 1 without one."""
     return 1.0 if discount is None else discount
 
 
@@ -194,10 +206,10 @@ def parse_give_up(value: str | GiveUp) -> GiveUp:
 def dead_end_charges(
     model: SSP, dead: BoolArray, semantics: FailureSemantics, costs: FloatArray | None = None
 ) -> FloatArray:
-    """Return the charge of entering each dead-end once, its least expected stage cost, [states].
+    """Return the charge of entering each dead-end, [states].
 
-    It is 0 for other states and for dead-ends that have no actions. Without
-    ``charge_failing_step`` it is 0 everywhere.
+    With ``charge_failing_step`` it is the least expected cost of an action there, paid once. It is
+    0 for dead-ends without actions and for other states.
 
     Args:
         dead: dead-ends, [states].
@@ -280,7 +292,7 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
             given = in_short(probability)
             raise ModelError(f"start probability of state {state!r} must be a number, not {given}")
         if not 0.0 <= float(probability) <= 1.0 + 1e-12:
-            raise ModelError(f"start probability of state {state!r} is {probability!r}")
+            raise ModelError(f"start probability {probability!r} of state {state!r}: not in [0, 1]")
         distribution[model.index_of(state, "start")] += float(probability)
     total = float(distribution.sum())
     if abs(total - 1.0) > PROBABILITY_SUM:
@@ -289,10 +301,10 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
 
 
 class GoalShare(float):
-    """A failure budget that follows from a demanded goal probability.
+    """A failure budget that is 1 minus a demanded goal probability.
 
-    If the demanded probability is very small, the budget is rounded to 1; :func:`demanded_goal`
-    returns it exactly.
+    If the demanded probability is very small, the budget is rounded to 1. The object keeps the
+    exact demanded probability, which :func:`demanded_goal` returns.
     """
 
     demanded: float
@@ -304,7 +316,7 @@ class GoalShare(float):
         return budget
 
     def __getnewargs__(self) -> tuple[float]:
-        """Return the arguments of copies."""
+        """Return the arguments from which copies and pickles are made."""
         return (self.demanded,)
 
 
@@ -381,9 +393,9 @@ def check_failure_setting(
     if failure_budget is None and reach_fraction is None and discount is not None:
         raise ModelError(
             Argument("failure_budget", None),
-            " (least failure) is exact only: leave ",
+            " (least failure) supports no discount: leave ",
             Argument("discount"),
-            " out, or give a budget for the discounted surrogate",
+            " out, or give a budget for the discounted failure",
         )
 
 
@@ -392,8 +404,8 @@ def free_pairs(
 ) -> BoolArray:
     """Return a mask of the pairs that add nothing to the objective and the limits, [pairs].
 
-    A policy may fail by staying for ever in such pairs at no cost. The cost of the model matters
-    only if it is the objective or limited.
+    A policy may fail at no cost by staying for ever in an end component of these pairs. The cost of
+    the model counts only if it is the objective or limited.
 
     Args:
         model: the model.
@@ -417,10 +429,10 @@ _DUST = 8.0 * MACHINE_EPSILON  # rounding error of a difference, relative to the
 
 @dataclass(frozen=True, eq=False)
 class Counting:
-    """Coefficients of costs, arrivals and ends at the pairs of a process, and at its source.
+    """Coefficients of costs, arrivals and ends on a process.
 
-    Start mass on goals and dead-ends enters through the source (``failure_label.with_start``). The
-    second number of every result is the coefficient at the source.
+    Every method returns a coefficient for each pair, [pairs], and a number for the start: the
+    amount due to episodes that begin on a goal or dead-end (``failure_label.with_start``).
     """
 
     quotient: Quotient
@@ -432,7 +444,9 @@ class Counting:
     survival: float  # the discount, 1 in the exact setting
 
     def cost(self, model: SSP) -> tuple[FloatArray, float]:
-        """Return a secondary cost, with charges of failing like the model's own cost, [pairs].
+        """Return the expected secondary cost of each pair, [pairs], and of the start.
+
+        It includes charges of failing in the same way as the model's own cost does.
 
         Args:
             model: the model with the secondary cost as its cost.
@@ -441,17 +455,20 @@ class Counting:
         return cost / self.departs, float(self.start @ entering)
 
     def arrivals(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Return the probability of entering states before failing, [pairs], and at the start."""
+        """Return the probability that each pair enters some states, [pairs], and the start's share.
+
+        Entering them after failing does not count.
+        """
         into = self.quotient.at_pairs(successor_means(self.quotient.model, states))
         ended = states & (self.quotient.node_of < 0)
         return self.survival * into / self.departs, float(self.start[ended].sum())
 
     def endings(self) -> tuple[FloatArray, float]:
-        """Return the mass that ends by goal or failure, [pairs], and at the start."""
+        """Return the mass of each pair that ends by goal or failure, [pairs], and at the start."""
         return self.goal + self.failure, float(self.start[self.quotient.node_of < 0].sum())
 
     def other_endings(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Return the mass that ends outside some final states, [pairs], and at the start."""
+        """Return the mass that ends outside some end states, [pairs], and at the start."""
         if (states == self.quotient.model.goal_mask).all():
             return self.failure, float(self.start[self.quotient.dead].sum())
         (every, at_once), (into, there) = self.endings(), self.arrivals(states)
@@ -462,16 +479,16 @@ class Counting:
 def stage_costs(
     model: SSP, quotient: Quotient, semantics: FailureSemantics, survival: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the expected cost of each pair, with charges of failing, and of entering dead-ends.
+    """Return the expected cost of each pair, including the charges of failing.
 
     Args:
         model: the model with the costs.
-        quotient: its live part.
+        quotient: the live part of the model.
         semantics: the charges of giving up and of entering a dead-end.
-        survival: the discount.
+        survival: the discount, or 1.
 
     Returns:
-        [quotient pairs] and [states].
+        The cost of each pair, [quotient pairs], and the charge of entering each dead-end, [states].
     """
     means, charges = cost_means(model), np.zeros(quotient.n_nodes)
     if quotient.gives_up.any():

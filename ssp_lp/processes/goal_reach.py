@@ -1,7 +1,8 @@
 """Greatest and least goal probability, and the cheapest policies that attain them.
 
-MAXPROB and MINPROB of section 2.3 of the paper, exact or discounted (E[gamma^T]), followed by a
-second stage that minimises a cost over the policies that attain the first (mathematics, section 4).
+The first stage is MAXPROB or MINPROB of section 2.3 of the paper, exact or discounted (E[gamma^T]).
+The second stage minimises a cost over the policies that attain the optimum of the first
+(mathematics, section 4).
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _RARE = 1e-4  # failure below which the bounds of sweeps on success leave it few
 
 @dataclass(frozen=True, eq=False)
 class GoalReach:
-    """An extreme goal probability, with the pairs that attain it."""
+    """The greatest or the least goal probability of each state, and the pairs that attain it."""
 
     goal: FloatArray  # [states] E[gamma^T; goal]; 1 at goals, 0 at dead-ends
     bound: FloatArray  # [states] certified: upper bound of the greatest, lower bound of the least
@@ -45,16 +46,19 @@ class GoalReach:
     solved: tuple[Quotient, ExtremeReach] | None = None  # for states that the graph does not decide
 
     def least_failure(self, start: FloatArray) -> float:
-        """Return a lower bound of every policy's failure from a start, [states].
+        """Return a certified lower bound of every policy's failure probability.
 
-        Only for the greatest goal probability. It is rounded down by the errors of the sum, the
-        difference and the bound of each state.
+        This applies to the greatest goal probability only. The bound allows for the rounding of the
+        sum over the start states and of the difference.
+
+        Args:
+            start: distribution over states, [states].
         """
         return max(1.0 - float(expected(start, self.bound)) - 4.0 * MACHINE_EPSILON, 0.0)
 
     @cached_property
     def usable(self) -> BoolArray:
-        """Mask of the pairs that attain the extreme goal probability, [model pairs]."""
+        """Mask of the pairs that attain the greatest, or least, goal probability, [model pairs]."""
         if self.solved is None:
             return self.surely
         quotient, reach = self.solved
@@ -65,7 +69,10 @@ class GoalReach:
 
 @dataclass(frozen=True, eq=False)
 class ReachPolicy:
-    """A stationary policy of extreme goal probability (or E[survival^T; goal]), with its values."""
+    """A stationary policy, with its cost and goal probability from each state.
+
+    It usually has the greatest or the least goal probability (or E[survival^T; goal]).
+    """
 
     decision: IntArray  # [states]
     values: TailValues  # [states] each, of following it from each state
@@ -77,15 +84,17 @@ def greatest_goal_reach(
 ) -> GoalReach:
     """Solve MAXPROB: the greatest E[survival^T; goal] from every state.
 
-    The graph shows from which states the goal can be reached surely, and from which never. If this
-    settles all states of the start, nothing else is computed, and all states without sure success
-    get the goal probability 0.
+    The graph shows from which states the goal can be reached surely, and from which never. If each
+    start state is of one of these kinds, nothing else is computed: the result then has goal
+    probability 0 in all states without sure success.
 
     Args:
         model: the model.
         survival: the discount; 1 for probabilities.
-        start: only states with positive entries are needed, [states]; None: every state.
-        last_digits: find all pairs that attain it; otherwise one policy and a bound suffice.
+        start: only the results from states with positive entries are needed, [states]; None: from
+            all states.
+        last_digits: whether all pairs that attain the greatest value are needed, rather than one
+            policy and a bound.
     """
     exact, setting = survival == 1.0, (survival, start, last_digits)
     if exact:
@@ -112,7 +121,9 @@ def greatest_goal_reach(
 
 
 def greatest_goal_from(model: SSP, start: FloatArray) -> float:
-    """Return the greatest goal probability from a start, [states], exact for rare failure.
+    """Return the greatest goal probability from a start distribution, [states].
+
+    It is also accurate if failure is rare.
 
     Raises:
         Stop: the time limit was reached before it was computed.
@@ -127,7 +138,13 @@ def greatest_goal_from(model: SSP, start: FloatArray) -> float:
 
 
 def extreme_goal_reach(model: SSP, aim: Aim, start: FloatArray) -> GoalReach:
-    """Solve MAXPROB or MINPROB, according to the aim, from a start, [states]."""
+    """Return the greatest or the least goal probability from a start distribution, [states].
+
+    Args:
+        model: the model.
+        aim: ``GREATEST_GOAL``; any other aim stands for the least.
+        start: only the results from states with positive entries are needed, [states].
+    """
     if aim is Aim.GREATEST_GOAL:
         return greatest_goal_reach(model, start=start, last_digits=False)
     return least_goal_reach(model, start=start)
@@ -138,8 +155,8 @@ def least_goal_reach(
 ) -> GoalReach:
     """Solve MINPROB: the least E[survival^T; goal] from every state; 0 at attention states.
 
-    Equations are solved only for states from which an attention state can be reached and the goal
-    cannot surely be avoided. From states that can reach no attention state the goal is sure.
+    Equations are solved only for states that are no attention states but can reach one. The graph
+    decides all others: a state that can reach no attention state has probability 1.
     """
     attention = graph.attention_states(model)
     bound_to = model.goal_mask
@@ -163,16 +180,19 @@ def _extreme_reach(
     *,
     greatest: bool,
 ) -> GoalReach:
-    """Solve for the extreme E[survival^T; hit] over the live states.
+    """Compute the greatest or least E[survival^T; hit] from every live state.
+
+    T is the number of steps until a run ends; it hits if it ends in one of ``hit_states``.
 
     Args:
         quotient: the live states.
-        hit_states: ends that count, [states]; other ends do not.
-        surely: pairs that attain the extreme by the graph alone, [model pairs].
-        survival: the discount.
-        start: only states with positive entries are needed, [states]; None: all.
-        last_digits: see ``extreme_reach``.
-        greatest: maximise, rather than minimise.
+        hit_states: end states that count, [states].
+        surely: pairs that attain the optimum by the graph alone, [model pairs].
+        survival: the discount, or 1.
+        start: only the results from states with positive entries are needed, [states]; None: from
+            all states.
+        last_digits: whether all pairs that attain the optimum are needed.
+        greatest: whether to maximise, rather than minimise.
     """
     model = quotient.model
     dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
@@ -195,11 +215,16 @@ def _extreme_reach(
 
 
 def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
-    """Return the policy of least E[cost; goal] among those of extreme goal probability.
+    """Return the policy of least E[cost; goal] among those of a given goal probability.
 
-    A transition of cost g to x' costs g * reach(x'), under discounting with the factors from x' on,
-    so that the second stage is an ordinary problem without accumulated cost (paper, S3P;
+    A transition of cost g to x' is charged g * reach(x'), which counts the cost of successful runs
+    only. The second stage is therefore an ordinary problem without accumulated cost (paper, S3P;
     mathematics, section 4). Free end components are collapsed: a policy must leave them.
+
+    Args:
+        model: the model.
+        reach: the greatest or the least goal probability, with the pairs that attain it.
+        survival: the discount, or 1; discounted steps after x' are part of reach(x').
     """
     early = np.where(model.goal_mask, 0.0, reach.goal / survival)
     weight = np.where(model.goal_mask, 1.0, survival * early)
@@ -249,10 +274,10 @@ def _failing_to_reach(
 
 
 def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
-    """Return a policy whose every step may come nearer to the goal, in number of steps.
+    """Return a policy each of whose steps comes nearer to the goal with positive probability.
 
-    It reaches the goal with positive probability wherever that is possible, and is found and
-    evaluated without optimisation; its cost bound is 0.
+    Distance is in number of steps. The policy reaches the goal with positive probability wherever
+    that is possible. It is found and evaluated without optimisation, and its cost bound is 0.
     """
     decision, _ = graph.goal_approach(model)
     live = (decision >= 0).nonzero()[0]

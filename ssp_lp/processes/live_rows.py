@@ -1,7 +1,7 @@
-"""Sums over the outcomes of each pair: expectations, and the rows of a process.
+"""Sums over the outcomes of each pair: expectations, and the transition matrix of a process.
 
-Both avoid large copies: expectations read the outcomes piece by piece, and the rows of a process
-are the selected outcomes among live nodes.
+The process lives on *nodes*: live states, or groups of them. Large copies are avoided: expectations
+read the outcomes piece by piece, and the matrix has only outcomes that lead to nodes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
-from ssp_lp.dynamic_programming.bellman import SharedRows, SparseRows
+from ssp_lp.dynamic_programming.bellman import MOST_CACHED, SharedRows, SparseRows
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import kept
 
@@ -109,15 +109,12 @@ _WORTH_SHARING = 1_000_000
 _TIMES_SHARED = 4
 """Least average number of uses of each stored number: fewer save too little."""
 
-_MOST_NUMBERS = 2**19
-"""Most stored numbers: 4 MB, so that they stay in the cache of a core."""
-
 _NOWHERE = np.zeros(0, dtype=np.int32)
 
 
 @dataclass(frozen=True, eq=False)
 class RowChoice:
-    """The outcomes of a model that form the rows of a process's matrix, and their columns."""
+    """The pairs of a model that are the rows of a transition matrix, and the columns of it."""
 
     model: SSP
     node_of: IntArray  # [states] int32 node, -1 where the process ends
@@ -129,7 +126,7 @@ class RowChoice:
 
 
 class LiveRows(NamedTuple):
-    """Rows of a process, their divisors, and the mass that leaves the process."""
+    """The transition matrix of a process, the divisors of its rows, and the mass that ends."""
 
     matrix: sp.csr_array  # [rows, width * nodes], possibly several entries for one column
     departs: FloatArray  # [rows] probability of departing, 1 without a self-loop
@@ -140,14 +137,14 @@ class LiveRows(NamedTuple):
 def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
     """Return the transition probabilities from the pair of each row to each node.
 
-    With ``home``, rows are conditioned on departing from their node: self-loops are removed, and
-    all other entries are divided by the probability of departing. This probability is a sum over
-    the outcomes that depart; 1 - p would lose digits in slow loops. Rows that never depart are not
-    changed.
+    If ``rows.home`` is given, each row is conditioned on departing from its node: the self-loop is
+    removed, and all other entries are divided by the probability of departing. This probability is
+    summed over the outcomes that depart, because 1 - p would lose digits if p is near 1. A row that
+    never departs is not changed.
 
     Args:
-        rows: the rows.
-        survival: factor of every probability.
+        rows: the pairs and the nodes.
+        survival: factor of every probability, the discount or 1.
     """
     if accelerated(rows.model.n_outcomes, "matrix_rows.count_rows", "matrix_rows.fill_rows"):
         counts, departs, leaks = _count_live(rows)
@@ -160,11 +157,11 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
 
 @with_twin
 def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
-    """Return the matrix of ``live_rows``, with the numbers of equal rows stored once.
+    """Return the matrix of ``live_rows``, in which rows of equal numbers share their storage.
 
     Args:
-        rows: the rows.
-        survival: factor of every probability.
+        rows: the pairs and the nodes.
+        survival: factor of every probability, the discount or 1.
     """
     loops = "matrix_rows.count_rows", "matrix_rows.fill_rows", "matrix_rows.share_rows"
     if not accelerated(rows.model.n_outcomes, *loops):
@@ -177,8 +174,8 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
 
     n_rows, n_outcomes = len(rows.pair_at), rows.model.n_outcomes
     indices = np.empty(entries, dtype=bounds.dtype)
-    begins, data = np.empty(n_rows, dtype=np.int32), np.empty(_MOST_NUMBERS)
-    slots, used = np.full(2 * _MOST_NUMBERS, -1, dtype=np.int32), 0
+    begins, data = np.empty(n_rows, dtype=np.int32), np.empty(MOST_CACHED)
+    slots, used = np.full(2 * MOST_CACHED, -1, dtype=np.int32), 0
     numbers = np.zeros(0)  # of one piece
     for some in pieces(n_rows, n_outcomes):
         first, end = bounds[some.start], bounds[some.stop]
@@ -193,7 +190,7 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
 
 
 def _row_bounds(rows: RowChoice, counts: IntArray) -> IntArray:
-    """Return the offsets of the entries of each row, and the end, [rows + 1]."""
+    """Return the row offsets of a CSR matrix from the number of entries of each row, [rows + 1]."""
     bounds = offsets_of(counts)
     small = max(int(bounds[-1]), rows.width * rows.n_nodes) < 2**31
     return bounds.astype(np.int32) if small else bounds
@@ -208,7 +205,17 @@ def _fill_compiled(
     indices: IntArray,
     data: FloatArray,
 ) -> None:
-    """Write columns and probabilities of some rows, at given bounds, in compiled loops."""
+    """Write the column indices and probabilities of some rows, in compiled loops.
+
+    Args:
+        rows: the pairs and the nodes.
+        some: the rows to write.
+        departs: probability of departing, [rows].
+        survival: factor of every probability.
+        bounds: offsets of these rows in the two arrays that are written.
+        indices: written: column of each entry.
+        data: written: probability of each entry.
+    """
     from ssp_lp.compiled.matrix_rows import fill_rows
 
     model, home = rows.model, _row_array(rows.home)
@@ -222,7 +229,7 @@ def _fill_compiled(
 def _filled_rows(
     rows: RowChoice, survival: float, departs: FloatArray, bounds: IntArray
 ) -> sp.csr_array:
-    """Return the counted rows as a CSR matrix."""
+    """Return all rows as a CSR matrix, written by compiled loops at known offsets."""
     n_rows, n_columns = len(rows.pair_at), rows.width * rows.n_nodes
     indices, data = np.empty(int(bounds[-1]), dtype=bounds.dtype), np.empty(int(bounds[-1]))
     for some in pieces(n_rows, rows.model.n_outcomes):
@@ -232,7 +239,7 @@ def _filled_rows(
 
 
 def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Count the entries, departing probability and ending mass of each row, [rows] each."""
+    """Return number of entries, probability of departing and ending mass of each row, [rows]."""
     from ssp_lp.compiled.matrix_rows import count_rows
 
     n_rows, model, home = len(rows.pair_at), rows.model, _row_array(rows.home)
@@ -247,14 +254,14 @@ def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
 
 
 def _row_array(given: IntArray | None) -> IntArray:
-    """Return an optional array, or an empty one in place of None, for compiled loops."""
+    """Return an array, or an empty one in place of None, which compiled loops do not accept."""
     return _NOWHERE if given is None else given
 
 
 def _live_rows_in_numpy(
     rows: RowChoice, survival: float
 ) -> tuple[sp.csr_array, FloatArray, FloatArray]:
-    """Compute rows, departing probability and ending mass in NumPy, without compiled loops."""
+    """Return matrix, probability of departing and ending mass of all rows, by NumPy alone."""
     model, n_rows, pairs = rows.model, len(rows.pair_at), rows.pair_at
     begins = np.where(pairs < 0, 0, model.outcome_offsets[pairs])
     lengths = np.where(pairs < 0, 0, model.outcome_offsets[pairs + 1] - begins)

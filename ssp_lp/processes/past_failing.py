@@ -1,8 +1,9 @@
-"""Quantities counted after failing, and the product with the failure label that counts them.
+"""Quantities that go on counting after failing, and the larger model that is needed for them.
 
-Failing ends the cost, not the run (mathematics, section 2). If a quantity counts an end, or steps
-or visits through failure, that can occur after a dead-end or after giving up, the problem is
-restated on the product of states and failure label. Otherwise the model is not changed.
+Failing ends the cost, not the run (mathematics, section 2). A quantity may count events after a
+dead-end is entered or a policy gave up: an end, or steps or visits with ``through_failure``. Then
+the problem is restated on the product of the model with a failure label: each state exists before
+and after failing. Otherwise the model is not changed.
 """
 
 from __future__ import annotations
@@ -36,15 +37,15 @@ def labelled_past_failing(
     ratio: bool,
     discount: float | None,
 ) -> FailureSSP | None:
-    """Return the product with the failure label; None: no quantity counts past failing.
+    """Return the product of a model with the failure label; None: no quantity needs it.
 
     Args:
         model: the model.
         limits: the limited quantities.
         objective: a quantity minimised instead of the cost.
         semantics: where a policy may give up, and the cost of failing.
-        ratio: whether the cost is counted given success.
-        discount: a number makes every total finite; None: exact.
+        ratio: whether the objective is a cost given success.
+        discount: the discount, or None, which requires a check for infinite totals.
     """
     limits_and_objective = (*limits, *(() if objective is None else (objective,)))
     terms = [term for condition in limits_and_objective for _, term in condition.terms]
@@ -88,16 +89,16 @@ def labelled_past_failing(
 def check_counted_past_failing(
     model: SSP, asked: Condition, semantics: FailureSemantics, *, ratio: bool
 ) -> None:
-    """Check that a process can count a quantity past failing.
+    """Check that a process can count a quantity, also its events after failing.
 
     Args:
-        model: of the process.
-        asked: the quantity, looked up in the model, or in the original of a product.
+        model: the model of the process, perhaps a product with the failure label.
+        asked: the quantity, looked up in the model before any product.
         semantics: where a policy may give up.
-        ratio: whether the cost is counted given success.
+        ratio: whether the objective is a cost given success.
 
     Raises:
-        ModelError: it cannot, because the process has no failure label.
+        ModelError: the quantity counts events after failing that the process does not contain.
     """
     # finiteness does not matter here: the discount skips that check
     needed = labelled_past_failing(asked.model, (), asked, semantics, ratio=ratio, discount=1.0)
@@ -117,7 +118,11 @@ def check_counted_past_failing(
 
 
 def _ends_past_failing(model: SSP, terms: Iterable[Term]) -> tuple[BoolArray, BoolArray]:
-    """Return masks of dead-ends counted as ends, and of all states counted past failing."""
+    """Return a mask of the dead-ends that terms count as ends, and a mask of all later targets.
+
+    Later targets are these dead-ends and the states whose visits are counted through failure. Both
+    masks have the shape [states].
+    """
     ends, targets = np.zeros((2, model.n_states), dtype=np.bool_)
     for term in terms:
         if isinstance(term, ArrivalTerm) and term.final:
@@ -128,7 +133,13 @@ def _ends_past_failing(model: SSP, terms: Iterable[Term]) -> tuple[BoolArray, Bo
 
 
 def _costs_until_failing(label: FailureSSP, costs: FloatArray, charges: bool) -> FloatArray:
-    """Return a cost until failing, with the charge of failing, 0 past it, [outcomes]."""
+    """Return a cost on the product, [outcomes of the product]; it is 0 after failing.
+
+    Args:
+        label: the product.
+        costs: cost of each outcome of the original model, [outcomes].
+        charges: whether failing is charged the least expected cost of a step.
+    """
     charge = np.zeros(label.n_original)
     if charges:
         means = cost_means(replace(label.original, costs=read_only(costs)))
@@ -139,10 +150,10 @@ def _costs_until_failing(label: FailureSSP, costs: FloatArray, charges: bool) ->
 
 
 def past_failing_term(label: FailureSSP, term: Term) -> Term:
-    """Return a term on the product with the failure label, counting past failing.
+    """Translate a term from a model to its product with the failure label.
 
-    Ends are the true ends, also after failing. Costs and visits count until failing, unless they
-    are counted through failure.
+    Ends are the true ends, also after failing. Costs and visits count until failing, or to the true
+    end if they have ``through_failure``.
     """
     if isinstance(term, StepTerm):
         costs = term.model.costs

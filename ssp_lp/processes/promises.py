@@ -1,10 +1,10 @@
 """Promises: limits on the probability that single runs satisfy a bound or a task.
 
-``within(fuel, 10) >= 0.95``: with probability 0.95 the run reaches the goal and uses at most 10
-units. The model is extended by the total so far, capped beyond the bound, or by the automaton of
-the task (:mod:`ssp_lp.model.tracked_product`). If the totals have too many different values, the
-amounts are rounded up to multiples of a unit, so that a policy satisfies the limit with certainty;
-the same problem with amounts rounded down bounds the optimum of every policy.
+For example, ``within(fuel, 10) >= 0.95`` means: with probability 0.95 the run reaches the goal and
+uses at most 10 units. The model is extended by the total so far (one value stands for all totals
+beyond the bound), or by the automaton of the task (:mod:`ssp_lp.model.tracked_product`). If there
+are too many totals, amounts are rounded to multiples of a unit. Rounded up, every feasible policy
+satisfies the limit exactly. Rounded down, the optimum is a bound for all policies.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _FEWEST, _MOST, _CELLS = 50, 2_000, 400_000  # levels of a rounded total; levels
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Total(Followed):
-    """Runs whose total of a quantity stays within a bound, or passes it."""
+    """Event that a run's total of a quantity stays within a bound or, if ``passes``, exceeds it."""
 
     quantity: Quantity
     bound: float
@@ -39,14 +39,16 @@ class _Total(Followed):
     rounds_down: bool = False  # amounts, if the totals are too many; otherwise up
 
     def __repr__(self) -> str:
-        """Return the call as text."""
+        """Return the call that creates the quantity, as text."""
         return f"{'exceeds' if self.passes else 'within'}({self.quantity!r}, {self.bound:g})"
 
     def automaton(self, model: SSP) -> Automaton:
-        """Return the automaton of totals up to the bound, with one or two values beyond it.
+        """Return the automaton that follows the total of a run.
 
-        With ``passes`` there are two such values: just passed, and passed before. If there are too
-        many totals, the amounts are rounded to multiples of a fraction of the bound.
+        Its values are the possible totals up to the bound, and one for all totals beyond it. With
+        ``passes`` there are two values beyond the bound: exceeded by the last step, and exceeded
+        before. If there are too many totals, the amounts are rounded to multiples of a fraction of
+        the bound.
 
         Raises:
             ModelError: an unknown name, or a quantity that is not a total of costs and visits.
@@ -70,7 +72,7 @@ class _Total(Followed):
         letter, over = np.searchsorted(steps, used), totals.size
 
         def value_of(total: FloatArray) -> IntArray:
-            """Return the value for a total: an equal sum, or the value beyond the bound."""
+            """Return the index of the automaton's value for each total, by shape of ``total``."""
             nearest = np.searchsorted(totals, total - room)
             return np.where(total > bound + room, over, nearest)
 
@@ -87,13 +89,18 @@ class _Total(Followed):
         return Automaton(name, tuple(words), letters, moves, letter[:n], begin, unit)
 
     def rounded_down(self) -> _Total:
-        """Return the total with amounts rounded down, if they must be rounded."""
+        """Return the event whose amounts, if they must be rounded, are rounded down."""
         return replace(self, rounds_down=True)
 
     def is_safe(self, constraint: Constraint, is_stated: bool) -> bool:
-        """Return whether policies that satisfy a limit as rounded up satisfy it exactly.
+        """Return whether rounding amounts up makes a limit stricter, never weaker.
 
-        False if the total is in the objective or in a limit of the criterion itself.
+        Then every policy that satisfies the rounded limit satisfies the stated one. It is False if
+        the event occurs in the objective, or in a limit that belongs to the criterion.
+
+        Args:
+            constraint: the limit, or the objective as a limit.
+            is_stated: whether it is one of the problem's ``constraints``.
         """
         at_most, at_least = constraint.upper is not None, constraint.lower is not None
         weights = [weight for weight, counted in constraint.quantity.terms if counted is self]
@@ -102,7 +109,11 @@ class _Total(Followed):
         return is_right and (is_stated or not rises)
 
     def term(self, product: TrackedSSP) -> ArrivalTerm:
-        """Return the term of goals reached within the bound, or of states that just pass it."""
+        """Return the term that counts the event on the product with the automaton.
+
+        It counts arrivals at the goal within the bound or, if ``passes``, the step that exceeds the
+        bound.
+        """
         value, over = product.labels.number, len(product.automaton.words) - 1 - self.passes
         if self.passes:
             return ArrivalTerm(product, value == over)
@@ -112,7 +123,12 @@ class _Total(Followed):
 def _steps_and_totals(
     used: FloatArray, bound: float
 ) -> tuple[FloatArray, FloatArray | None, float]:
-    """Return distinct amounts, the totals up to a bound (None: too many), and their tolerance."""
+    """Return the distinct amounts, their possible totals, and the tolerance of equal totals.
+
+    Args:
+        used: amount of each outcome and of each start, [amounts].
+        bound: the totals are computed up to this bound; they are None if there are too many.
+    """
     steps = np.unique(used)
     moves = np.union1d(0.0, steps)
     room = room_of(moves, bound) if bound > 0.0 else 0.0
@@ -154,12 +170,12 @@ def exceeds(quantity: Quantity, bound: float) -> Quantity:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Traces(Followed):
-    """Runs that reach the goal and whose trace satisfies a task."""
+    """Event that a run reaches the goal and its trace satisfies a task."""
 
     task: Task
 
     def __repr__(self) -> str:
-        """Return the call as text."""
+        """Return the call that creates the quantity, as text."""
         return f"holds({self.task!r})"
 
     def automaton(self, model: SSP) -> Automaton:
@@ -189,7 +205,7 @@ def holds(task: Task) -> Quantity:
 
 
 def _promise(verb: str, quantity: Quantity, bound: float, *, passes: bool) -> Quantity:
-    """Return the quantity of runs whose total satisfies, or exceeds, a bound."""
+    """Return the quantity of :func:`within` or, if ``passes``, of :func:`exceeds`, after checks."""
     if not isinstance(quantity, Quantity):
         hint = "a quantity first, such as secondary_cost('fuel')"
         raise ModelError(f"{verb} takes {hint}, not {in_short(quantity)}")

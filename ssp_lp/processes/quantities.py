@@ -1,7 +1,7 @@
 """Quantities: linear functionals of an occupation measure, to minimise or limit.
 
-A quantity is stated by names of the model, such as states, labels and costs. When a problem is
-stated, the names are looked up in the model (``processes.conditions``), which gives the coefficient
+A quantity is stated with names of a model: states, labels, ends and costs. When a problem is
+stated, the names are looked up in its model (``processes.conditions``). This gives the coefficient
 of each pair of an augmented process. Quantities can be added and scaled; comparing one with a
 number makes a constraint:
 
@@ -43,26 +43,30 @@ NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _StageCosts:
-    """A cost of steps: the model's own (None), a name, per pair, per outcome, or nested dicts."""
+    """The expected total of a cost of steps.
+
+    The cost is the model's own (None), the name of another one, an array per pair or per outcome,
+    or nested dicts.
+    """
 
     cost: NestedCosts | npt.ArrayLike | str | None = None
     through_failure: bool = False
 
     def __repr__(self) -> str:
-        """Return the call as text, without the costs."""
+        """Return the call that creates the quantity, as text without the costs."""
         told = repr(self.cost) if isinstance(self.cost, str) else "..."
         return "expected_cost()" if self.cost is None else f"secondary_cost({told})"
 
 
 @dataclass(frozen=True, repr=False)
 class _Visits:
-    """Visits of states, the start included; names are states or labels of states."""
+    """The expected visits of states, the start included; ``of`` has states or labels of states."""
 
     of: tuple[Hashable, ...]
     through_failure: bool = False
 
     def __repr__(self) -> str:
-        """Return the call as text."""
+        """Return the call that creates the quantity, as text."""
         return f"visits({', '.join(map(repr, self.of))})"
 
 
@@ -74,7 +78,7 @@ class _Ends:
     others: bool = False
 
     def __repr__(self) -> str:
-        """Return the call as text."""
+        """Return the call that creates the quantity, as text."""
         ways = f"end_probability({', '.join(map(repr, self.ways))})"
         return f"1 - {ways}" if self.others else ways
 
@@ -87,16 +91,19 @@ class _ArrivalCosts:
     affine_from: float
 
     def __repr__(self) -> str:
-        """Return the call as text."""
+        """Return the call that creates the quantity, as text without the function."""
         return "arrival_cost(...)"
 
 
 class Followed(ABC):
-    """Runs that a quantity counts by an automaton (``model.tracked_product``)."""
+    """An event of a whole run, whose probability is a quantity.
+
+    An automaton follows the run and decides whether the event occurs (``model.tracked_product``).
+    """
 
     @abstractmethod
     def automaton(self, model: SSP) -> Automaton:
-        """Return the automaton on a model.
+        """Return the automaton that follows runs of a model.
 
         Raises:
             ModelError: an unknown name, or too many values.
@@ -104,14 +111,14 @@ class Followed(ABC):
 
     @abstractmethod
     def term(self, product: TrackedSSP) -> ArrivalTerm:
-        """Return the term of arrivals in states of the product that counts the runs."""
+        """Return the term that counts the event, as arrivals in states of the product."""
 
     def rounded_down(self) -> Followed:
-        """Return the same with amounts rounded down, if the automaton rounds them."""
+        """Return the event whose amounts, if the automaton rounds them, are rounded down."""
         return self
 
     def is_safe(self, constraint: Constraint, is_stated: bool) -> bool:
-        """Return whether a policy that satisfies a limit as rounded satisfies it exactly.
+        """Return whether every policy that satisfies the rounded limit satisfies the stated one.
 
         Args:
             constraint: the limit, or the objective as a limit.
@@ -120,7 +127,7 @@ class Followed(ABC):
         return is_stated or constraint.quantity is not None
 
     def looked_up(self, model: SSP) -> ArrivalTerm:
-        """Return the term on a model that contains the product with the automaton."""
+        """Return the term that counts the event, on a model built from the automaton's product."""
         found = followed_in(model, self)
         if found is None:
             raise ModelError(f"{self!r} can be limited in a problem's constraints only")
@@ -133,7 +140,7 @@ Counted = _StageCosts | _Visits | _Ends | _ArrivalCosts | Followed
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Quantity:
-    """A weighted sum of counted terms, and a constant."""
+    """A quantity to minimise or limit: a weighted sum of terms, and a constant."""
 
     terms: tuple[tuple[float, Counted], ...]
     constant: float = 0.0
@@ -148,34 +155,34 @@ class Quantity:
         raise ModelError(f"{self!r} is not an array{_WITH_CVXPY}")
 
     def __add__(self, other: Quantity | float) -> Quantity:
-        """Return the sum."""
+        """Return the sum with another quantity or a number."""
         if isinstance(other, Quantity):
             return Quantity(self.terms + other.terms, self.constant + other.constant)
         return Quantity(self.terms, self.constant + _quantity_number(other))
 
     def __mul__(self, factor: float) -> Quantity:
-        """Return the multiple."""
+        """Return the quantity times a number."""
         times = _quantity_number(factor)
         terms = tuple((weight * times, counted) for weight, counted in self.terms)
         return Quantity(terms, self.constant * times)
 
     def __truediv__(self, divisor: float) -> Quantity:
-        """Return the quotient by a number."""
+        """Return the quantity divided by a number."""
         return self * (1.0 / _quantity_number(divisor))
 
     __radd__ = __add__
     __rmul__ = __mul__
 
     def __neg__(self) -> Quantity:
-        """Return the negative."""
+        """Return the quantity with the opposite sign."""
         return self * -1.0
 
     def __sub__(self, other: Quantity | float) -> Quantity:
-        """Return the difference."""
+        """Return the quantity minus another quantity or a number."""
         return self + -1.0 * (other if isinstance(other, Quantity) else _quantity_number(other))
 
     def __rsub__(self, other: float) -> Quantity:
-        """Return the difference."""
+        """Return a number minus the quantity."""
         return -self + other
 
     def __le__(self, bound: Quantity | float) -> Constraint:
@@ -211,7 +218,7 @@ class Quantity:
         return Constraint(self, lower=_quantity_number(value), upper=_quantity_number(value))
 
     def __repr__(self) -> str:
-        """Return the sum as Python code."""
+        """Return the weighted sum of the terms, as Python code."""
         parts = [f"{c!r}" if w == 1.0 else f"{w:g} * {c!r}" for w, c in self.terms]
         parts += [f"{self.constant:g}"] if self.constant or not parts else []
         return " + ".join(parts)
@@ -219,7 +226,7 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Constraint:
-    """A quantity with bounds."""
+    """A limit on a quantity: a lower bound, an upper bound, or both."""
 
     quantity: Quantity
     lower: float | None = None
@@ -266,10 +273,10 @@ def secondary_cost(
 
 @explained
 def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
-    """Return the quantity "expected visits" of some states: entering, starting, staying.
+    """Return the quantity "expected visits" of some states.
 
-    Visits count until the goal is reached or failure is declared; a dead-end is entered at most
-    once.
+    Starting in a state, entering it and staying in it for a step each count as a visit. Visits
+    count until the goal is reached or the run fails; a dead-end is entered at most once.
 
     Args:
         states: states, or labels of states.
@@ -457,7 +464,10 @@ def _listed_costs(model: SSP, cost: NestedCosts) -> FloatArray:
 
 
 def _spread_costs(model: SSP, given: FloatArray) -> FloatArray:
-    """Return costs from an array of pairs or outcomes, also of a product's original, [outcomes]."""
+    """Return costs by outcome, [outcomes], from an array per pair or per outcome.
+
+    The array may belong to the model, or to the model from which it was built as a product.
+    """
     if isinstance(model, ProductSSP) and model.is_hidden:
         return np.asarray(_spread_costs(model.original, given)[model.original_outcome])
     own, theirs = _costs_by_outcome(model, given), None
@@ -479,7 +489,7 @@ def _spread_costs(model: SSP, given: FloatArray) -> FloatArray:
 
 
 def _costs_by_outcome(model: SSP, given: FloatArray) -> FloatArray | None:
-    """Return costs given by pair or by outcome, [outcomes]; None: neither."""
+    """Return costs by outcome, [outcomes], from an array per pair or per outcome; None: neither."""
     if given.shape == (model.n_outcomes,):
         return given
     if given.shape == (model.n_pairs,):
@@ -548,20 +558,20 @@ def words_visited(constraint: Constraint) -> list[Hashable]:
 
 
 def followed_by(constraints: Iterable[Constraint]) -> list[Followed]:
-    """Return the automaton terms of constraints, without repetitions."""
+    """Return the events of whole runs (:class:`Followed`) in constraints, each once."""
     terms = (counted for each in constraints for _, counted in each.quantity.terms)
     return list(dict.fromkeys(counted for counted in terms if isinstance(counted, Followed)))
 
 
 def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]:
-    """Return the amounts of a quantity that a run adds up, of each outcome and each start.
+    """Return the amounts that a run adds to its total of a quantity.
 
     Args:
         model: the model.
-        quantity: costs and visits, at weights >= 0.
+        quantity: a sum of costs and visits, with weights >= 0.
 
     Returns:
-        [outcomes], and [states] for a visit at the start.
+        The amount of each outcome, [outcomes], and of beginning in each state, [states].
 
     Raises:
         ModelError: the quantity has other terms, or a weight below 0.
@@ -584,7 +594,7 @@ def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]
 
 
 def beyond_exploring(constraint: Constraint) -> str | None:
-    """Return the reason why exploration cannot bound a quantity, or None."""
+    """Return the reason why a partly explored, implicit model cannot bound a quantity, or None."""
     for _, counted in constraint.quantity.terms:
         match counted:
             case _StageCosts(_, True) | _Visits(_, True):
@@ -600,7 +610,7 @@ def beyond_exploring(constraint: Constraint) -> str | None:
 
 
 def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
-    """Return the measure of a sum of arrival costs; None: the quantity has none.
+    """Return the expected charge that a sum of arrival costs stands for; None: it has none.
 
     Raises:
         ModelError: other quantities are added, or a weight is negative.
@@ -611,13 +621,13 @@ def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
         return None
     if len(costs) < len(terms) or min(weight for weight, _ in costs) < 0.0:
         raise ModelError(
-            "an arrival cost can be added to arrival costs only, with weights >= 0: limit other "
-            "quantities instead"
+            "an arrival cost can be added only to arrival costs, with weights >= 0: put other "
+            "quantities into constraints"
         )
     constant = quantity.constant
 
     def function(totals: FloatArray) -> FloatArray:
-        """Return the weighted sum of the charges."""
+        """Return the weighted sum of the charges of total costs, by shape of ``totals``."""
         charges = [weight * np.asarray(counted.function(totals)) for weight, counted in costs]
         return np.asarray(np.sum(charges, axis=0) + constant)
 
@@ -669,7 +679,7 @@ def _looked_up_term(model: SSP, counted: Counted) -> Term:
 
 
 def _as_an_action(model: SSP, word: Hashable) -> str:
-    """Return a hint if a word that is no state is, or resembles, the name of an action."""
+    """Return a hint if an unknown name of a state is, or resembles, the name of an action."""
     meant = nearest_name(word, model.action_names)
     if meant is None or nearest_name(word, model.states) is not None:
         return ""
@@ -678,7 +688,14 @@ def _as_an_action(model: SSP, word: Hashable) -> str:
 
 
 def _looked_up_states(model: SSP, words: tuple[Hashable, ...], *, final: bool = False) -> BoolArray:
-    """Return a mask of the states with these names, labels or, if final, ends, [states]."""
+    """Return a mask of the states that some words name, [states].
+
+    Args:
+        model: the model.
+        words: states and labels of states.
+        final: whether the words name ways to end instead: "goal", labels of dead-ends, "dead_end",
+            or states at which episodes end.
+    """
     marks, labels = end_marks(model), model.state_labels
     named: list[Hashable] = ["goal", *labels, "dead_end"]
     mask = np.zeros(model.n_states, dtype=np.bool_)

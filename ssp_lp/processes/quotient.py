@@ -3,11 +3,11 @@
 A node is one live state, or a maximal end component of pairs that cost nothing. Moves inside such a
 component are free, so a process without a discount treats it as one state (mathematics, section 4).
 
-Visits of the quotient are mapped back to the pairs of the model. Flow that enters a component at
-one member may leave it at another, and the moves between them must be stated. Flow goes to each
-exit member in proportion to the flow that leaves there, by the shortest way in number of steps.
-Drawing each move in proportion to the resulting visits realises the visits of the process exactly
-(paper, section 2.2).
+Visits of the quotient are mapped back to visits of the model's pairs. Flow may enter a component at
+one member and leave it at another, so moves between members must be added. From each member, flow
+goes to each exit member in proportion to the flow that leaves there, by a way of fewest steps. A
+policy that draws each pair in proportion to the resulting visits has exactly the visits of the
+process (paper, section 2.2).
 """
 
 from __future__ import annotations
@@ -44,7 +44,10 @@ from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
 
 @dataclass(frozen=True, eq=False)
 class Quotient:
-    """Nodes, and the pairs that leave them, in the order of the nodes."""
+    """The nodes of a model and the pairs that leave them, sorted by node.
+
+    *Pairs* are those of the quotient, unless they are called model pairs.
+    """
 
     model: SSP
     dead: BoolArray  # [states] dead-ends
@@ -57,11 +60,11 @@ class Quotient:
     pair_offsets: IntArray  # [nodes + 1]
 
     def transitions(self, survival: float, *, departing: bool) -> LiveRows:
-        """Return the transitions from each pair to each node, and to ends, [pairs, nodes].
+        """Return the transition matrix, [pairs, nodes], and the mass that ends.
 
         Args:
-            survival: factor of every probability, the discount.
-            departing: condition the outcomes of each node on departing (see ``live_rows``).
+            survival: factor of every probability, the discount or 1.
+            departing: whether to condition each pair on departing from its node (``live_rows``).
         """
         home = self.pair_node if departing else None
         return live_rows(
@@ -69,16 +72,19 @@ class Quotient:
         )
 
     def dynamics(self, survival: float, *, departing: bool) -> tuple[Dynamics, FloatArray]:
-        """Return the dynamics, and the divisors of the rows, [pairs]."""
+        """Return the dynamics of the quotient, and the probability that each pair departs, [pairs].
+
+        The arguments are those of :meth:`transitions`.
+        """
         rows = self.transitions(survival, departing=departing)
         return Dynamics(self.pair_offsets, rows.matrix, rows.exits), rows.departs
 
     def at_pairs(self, per_pair: FloatArray, give_up: float | FloatArray = 0.0) -> FloatArray:
-        """Return values of model pairs in the order of the quotient's pairs, [pairs].
+        """Return a value for each pair, [pairs], from values of the model's pairs.
 
         Args:
-            per_pair: [model pairs].
-            give_up: value of the pairs that give up: a number, or one per node.
+            per_pair: value of each pair of the model, [model pairs].
+            give_up: value of the pairs that give up: a number, or one per node, [nodes].
         """
         given_up = give_up if isinstance(give_up, float) else give_up[self.pair_node]
         return np.where(self.pair_at >= 0, per_pair[self.pair_at], given_up)
@@ -89,7 +95,7 @@ class Quotient:
         return np.asarray(self.pair_at == GIVE_UP_CODE)
 
     def named(self, pair: int) -> tuple[Hashable, Hashable]:
-        """Return the state and action of a pair; for giving up, the first state of the node."""
+        """Return the state and action of a pair; giving up belongs to the node's first state."""
         acting = int(self.pair_at[pair])
         if acting == GIVE_UP_CODE:
             return self.model.states[int(self.first_states[self.pair_node[pair]])], GIVE_UP
@@ -102,7 +108,7 @@ class Quotient:
         return live[np.unique(self.node_of[live], return_index=True)[1]]
 
     def split(self) -> Quotient:
-        """Return the quotient without collapsing: each live state is a node with all its pairs."""
+        """Return the quotient in which each live state is a node of its own, with all its pairs."""
         live, none = self.node_of >= 0, np.zeros_like(self.merged)
         kept, gives_up = self.inside.copy(), np.zeros(self.n_nodes, dtype=np.bool_)
         kept[self.pair_at[self.pair_at >= 0]] = True
@@ -112,12 +118,12 @@ class Quotient:
         return _quotient_with_pairs(self.model, self.dead, node_of, inside, none, kept, leaving)
 
     def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
-        """Return a pair of each node on a shortest way to a leaving pair, [nodes]; -1: none.
+        """Return a pair of each node on a shortest way to given pairs, [nodes]; -1: no way.
 
         The result is None if components are merged, since their members differ in distance.
 
         Args:
-            leaving: [model pairs].
+            leaving: the pairs to reach, [model pairs].
             usable: pairs that may be taken, [model pairs]; None: all.
         """
         if self.merged.any():
@@ -126,17 +132,19 @@ class Quotient:
         return self.placed(nearer_pairs(self.model, leaving, kept))
 
     def placed(self, decision: IntArray) -> IntArray:
-        """Return the quotient's pairs of decisions on live states, [nodes]; -1: no pair.
+        """Translate decisions on states to pairs of the quotient, [nodes]; -1: no pair.
+
+        No component may be merged.
 
         Args:
-            decision: pair of the model, negative for none, [states]. No component may be merged.
+            decision: pair of the model for each state, negative for none, [states].
         """
         taken = decision[self.node_of >= 0]
         return np.where(taken >= 0, self.places[taken], -1)
 
     @cached_property
     def places(self) -> IntArray:
-        """The quotient's pair of each pair of the model, [model pairs]; -1: none."""
+        """Index in the quotient of each pair of the model, [model pairs]; -1: it is not there."""
         place = np.full(self.model.n_pairs, -1, dtype=np.int32)
         acting = (self.pair_at >= 0).nonzero()[0]
         place[self.pair_at[acting]] = acting
@@ -165,14 +173,15 @@ class Quotient:
 
     @with_twin
     def positions(self, first: IntArray, choice: IntArray) -> IntArray:
-        """Return decisions on states in many layers, as positions among the pairs of each state.
+        """Translate choices in many layers to decisions on states.
 
         Args:
-            first: pair of the quotient from which a choice is counted, [nodes].
-            choice: [layers, nodes].
+            first: the pair of each node that has position 0, [nodes].
+            choice: position of the chosen pair, counted from ``first``, [layers, nodes].
 
         Returns:
-            Positions or codes, in the smallest integer type that holds them, [layers, states].
+            Position among the model's pairs of the state, GIVE_UP_CODE or UNDECIDED, in the
+            smallest integer type that holds them, [layers, states].
         """
         model, offsets = self.model, self.model.pair_offsets[:-1]
         most = int(np.diff(model.pair_offsets).max(initial=1))
@@ -196,10 +205,11 @@ class Quotient:
     def pull_back(self, choice: IntArray) -> IntArray:
         """Translate one chosen pair per node to decisions on states.
 
-        Inside a component the other members move, at no cost, to the member of the chosen pair.
+        In a collapsed component one member takes the chosen pair; the others move to that member at
+        no cost.
 
         Args:
-            choice: position among this quotient's pairs, [nodes].
+            choice: chosen pair of each node, [nodes].
 
         Returns:
             Pair of the model, GIVE_UP_CODE or UNDECIDED, [states].
@@ -232,11 +242,11 @@ def build_quotient(
 
     Args:
         usable: pairs of the model that may be used, [model pairs]; None: all.
-        free: usable pairs that cost nothing; their end components are collapsed. None: no
-            collapsing (discounted processes lose mass everywhere and need no collapsing).
-        exits: states in which giving up is allowed, [states].
-        free_exits: also allow giving up (staying for ever) in all collapsed components; otherwise
-            only in the components from which the goal cannot be reached.
+        free: usable pairs that cost nothing, [model pairs]; their end components are collapsed.
+            None: nothing is collapsed, as with a discount, which removes mass at every step.
+        exits: states in which giving up is allowed, [states]; None: none of them.
+        free_exits: whether giving up (staying for ever) is allowed in every collapsed component,
+            rather than only in those from which the goal cannot be reached.
         ended: further states at which the process ends, [states].
     """
     dead = dead_ends(model)
@@ -262,7 +272,14 @@ def build_quotient(
 
 
 def _numbered_nodes(live: BoolArray, component: IntArray) -> IntArray:
-    """Return the node of each state, numbered by their first states, [states]; -1: not live."""
+    """Return the node of each state, [states]; -1: the state is not live.
+
+    Nodes are numbered in the order of their first states.
+
+    Args:
+        live: live states, [states].
+        component: component of each state, negative for none, [states].
+    """
     group = np.where(component >= 0, component + live.size, np.arange(live.size))
     first = np.arange(live.size)
     members = (component >= 0).nonzero()[0]
@@ -283,7 +300,17 @@ def _quotient_with_pairs(
     kept: BoolArray,
     leaving: BoolArray,
 ) -> Quotient:
-    """Return the quotient with the given pairs, and giving up at ``leaving`` states."""
+    """Return the quotient with given nodes and pairs.
+
+    Args:
+        model: the model.
+        dead: dead-ends, [states].
+        node_of: node of each state, -1 if it is not live, [states].
+        inside: pairs that stay in a collapsed component, [model pairs].
+        merged: members of collapsed components, [states].
+        kept: pairs of the model that the quotient has, [model pairs].
+        leaving: states in which giving up is allowed, [states].
+    """
     n_nodes = int(node_of.max(initial=-1)) + 1
     pairs = kept.nonzero()[0].astype(np.int32)
     pair_node = node_of[model.pair_state[pairs]]
@@ -313,11 +340,12 @@ def _quotient_with_pairs(
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """The uncollapsed quotient, and the map between its pairs and the merged quotient's pairs.
+    """The quotient without merged components, and the map of its pairs to the merged quotient.
 
-    Methods count departures from a node; stated programs count the visits of each pair. Pairs
-    within a component cost nothing and have no visits here. Staying in a component for ever is
-    giving up, which is possible in each of its states.
+    Methods use the merged quotient and count departures from its nodes. Programs that a user sees
+    have the pairs of the unmerged quotient and count their visits. Pairs within a component have no
+    visits in the merged quotient. Staying in a component for ever is giving up, which is possible
+    in each of its states.
     """
 
     quotient: Quotient  # of the same live states, none merged
@@ -325,26 +353,36 @@ class Spread:
     departs: FloatArray  # [its pairs] probability of departing from the merged node
 
     def per_taking(self, per_departure: FloatArray) -> FloatArray:
-        """Return numbers per visit of a pair, from numbers per departure, [pairs]."""
+        """Return amounts per visit of each unmerged pair, [pairs], from amounts per departure.
+
+        Args:
+            per_departure: [merged pairs].
+        """
         return np.where(self.place >= 0, per_departure[self.place] * self.departs, 0.0)
 
     def departures(self, visits: FloatArray) -> FloatArray:
-        """Return departures from merged nodes, [merged pairs], from visits, [pairs]."""
+        """Return departures by each merged pair, [merged pairs], from visits of unmerged pairs.
+
+        Args:
+            visits: [pairs].
+        """
         own, size = self.place >= 0, int(self.place.max(initial=-1)) + 1
         gone = visits[own] * self.departs[own]
         return np.bincount(self.place[own], weights=gone, minlength=size).astype(np.float64)
 
     def visits(self, flow: ModelFlow) -> FloatArray:
-        """Return the expected visits of the uncollapsed pairs in a flow of the model, [pairs]."""
+        """Return the expected visits of the unmerged pairs, [pairs], from a flow of the model."""
         return self.quotient.at_pairs(flow.pairs, flow.give_up[self.quotient.first_states])
 
 
 def spread_out(quotient: Quotient, departs: FloatArray) -> Spread | None:
-    """Undo the collapsing, and the conditioning on departure; None: nothing to undo.
+    """Return the quotient without merged components and with self-loops, with the map to it.
+
+    The result is None if no component is merged and no self-loop was removed.
 
     Args:
-        quotient: the live part of a model.
-        departs: divisors of the rows, [pairs] (see ``live_rows``).
+        quotient: the quotient.
+        departs: probability that each pair departs from its node, [pairs] (see ``live_rows``).
     """
     if not quotient.merged.any() and (departs == 1.0).all():
         return None
@@ -365,7 +403,7 @@ class ModelFlow:
     give_up: FloatArray  # [states]
 
     def entering(self, quotient: Quotient) -> FloatArray:
-        """Return the flow into each state of the model by its outcomes, [states]."""
+        """Return the expected arrivals in each state of the model, without starts, [states]."""
         model = quotient.model
         taken = np.repeat(self.pairs, np.diff(model.outcome_offsets))
         return np.bincount(
@@ -374,11 +412,13 @@ class ModelFlow:
 
 
 def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
-    """Return the flow of the model from visits of a quotient, without moves in components.
+    """Return the visits of the model's pairs, given visits of a quotient's pairs.
+
+    Moves within components are not included (:func:`moving_within` adds them).
 
     Args:
-        quotient: the live part of the model.
-        visits: visits of each pair, repetitions included, [pairs].
+        quotient: the quotient.
+        visits: expected visits of each pair, with repetitions by self-loops, [pairs].
     """
     acting = quotient.pair_at >= 0
     pairs = np.zeros(quotient.model.n_pairs)
@@ -390,12 +430,15 @@ def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
 
 
 def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> ModelFlow:
-    """Return the flow including moves within components; members share the giving up.
+    """Return a flow of the model with the moves within components added.
+
+    The giving up of a component is shared among its members in proportion to the flow that enters
+    them.
 
     Args:
-        quotient: the live part of the model.
-        flow: from ``model_flow``, where each member has the giving up of the whole component.
-        entering: flow into each state, start included, [states].
+        quotient: the quotient.
+        flow: flow from ``model_flow``, where each member has the component's whole giving up.
+        entering: expected arrivals in each state, starts included, [states].
     """
     members = np.flatnonzero(quotient.merged)
     if members.size == 0:
@@ -412,15 +455,16 @@ def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> 
 def _flow_of_moves(
     quotient: Quotient, members: IntArray, entering: FloatArray, leaving: FloatArray
 ) -> FloatArray:
-    """Return the flow of each pair inside a collapsed component, [model pairs].
+    """Return the expected visits of the pairs inside collapsed components, [model pairs].
 
-    The k-th exits of all components are handled together, since components do not overlap.
+    They lead the flow from the members where it enters to those where it leaves. One pass handles
+    one exit member of every component, which is possible because components do not overlap.
 
     Args:
-        quotient: the live part of the model.
-        members: states of components.
-        entering: [members].
-        leaving: [members].
+        quotient: the quotient.
+        members: states of collapsed components.
+        entering: flow that enters each member from outside, [members].
+        leaving: flow that leaves each member to the outside, [members].
     """
     model, node = quotient.model, quotient.node_of[members]
     exits = np.flatnonzero(leaving > 0.0)
@@ -456,15 +500,16 @@ def _flow_of_moves(
 def decisions(
     quotient: Quotient, flow: ModelFlow, otherwise: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return the decisions of a flow; a state without flow gets a given decision with flow 1.
+    """Return the decisions of a randomised policy, with weights, from a flow of the model.
 
     Args:
-        quotient: the live part of the model.
+        quotient: the quotient.
         flow: flow with the moves within components.
-        otherwise: decision in states without flow: a pair or a code, [states].
+        otherwise: decision in states without flow: a pair of the model or a code, [states].
 
     Returns:
-        State, pair or GIVE_UP_CODE, and flow, [decisions] each.
+        Three arrays, [decisions] each: the state; the pair or GIVE_UP_CODE; and the flow, which is
+        1 in states without flow.
     """
     model = quotient.model
     taken, giving = np.flatnonzero(flow.pairs > 0.0), np.flatnonzero(flow.give_up > 0.0)

@@ -1,7 +1,7 @@
-"""Augmented processes of programs: labels of their pairs, and policies led back to the model.
+"""The processes behind occupation programs: names of their columns, and their policies.
 
-`LabelledModel` is case M's process with the failure label of the paper's section 3.1.2,
-`LayeredModel` case S's process, whose states include the accumulated cost.
+`LabelledModel` is the process of case M, with the failure label of the paper's section 3.1.2.
+`LayeredModel` is the process of case S, whose states include the accumulated cost.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ColumnLabel(NamedTuple):
 
     @property
     def paid(self) -> str:
-        """The accumulated cost in words, such as " at cost 3"; empty if it is not counted."""
+        """The accumulated cost in words, such as " at cost 3"; empty in case M."""
         return "" if self.cost is None else f" at cost {self.cost:g}"
 
     def __str__(self) -> str:
@@ -68,10 +68,12 @@ BOUND_TO_START = (
 
 @dataclass(frozen=True, eq=False)
 class Augmented(ABC):
-    """An explicit augmented process, and the mapping of its policies to the model.
+    """The process whose pairs are a program's columns, and the translation of its policies.
 
-    Pairs are numbered over all copies of the live part, one copy after another, followed by the
-    pair of the source. The process contains only the pairs that some policy reaches.
+    The *live part* is the model without goals and dead-ends. In case S there is a copy of it for
+    each accumulated cost, in case M there is one copy. Pairs are numbered copy by copy, followed by
+    the pair of the source, where episodes that end at once begin. The process contains only the
+    pairs that some policy reaches.
     """
 
     inner: FailureLabelled | OpenEnded  # the process in its compact form
@@ -81,13 +83,13 @@ class Augmented(ABC):
 
     @property
     def process(self) -> ExplicitProcess:
-        """The augmented process, whose pairs are the program's columns."""
+        """The explicit augmented process."""
         return self.part.process
 
     @property
     @abstractmethod
     def live(self) -> FailureLabelled | AccumulatedCost:
-        """The live part of the process, copied once for each distinct accumulated cost."""
+        """One copy of the live part."""
 
     @property
     def copies(self) -> int:
@@ -96,12 +98,14 @@ class Augmented(ABC):
 
     @property
     def quotient(self) -> Quotient:
-        """The model's live part with its free components collapsed."""
+        """The nodes and pairs of the live part; end components of cost 0 may be merged."""
         return self.live.quotient
 
     @abstractmethod
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """Yield the model's flow in each copy, including moves within collapsed components.
+        """Yield the expected visits of the model's pairs in each copy.
+
+        Moves within merged components are included.
 
         Args:
             visits: expected visits, [process pairs].
@@ -109,14 +113,18 @@ class Augmented(ABC):
 
     @abstractmethod
     def spread(self, spread: Spread) -> Augmented:
-        """Return the process with no component collapsed and with every self-loop."""
+        """Return the process in which no component is merged and self-loops are pairs.
+
+        Args:
+            spread: the quotient without merged components.
+        """
 
     @abstractmethod
     def counted(self, term: Term) -> FloatArray:
-        """Return the coefficient of a quantity at each pair of the process, [process pairs]."""
+        """Return the coefficient of a term for each pair of the process, [process pairs]."""
 
     def started(self, start: Hashable | Mapping[Hashable, float]) -> Augmented | None:
-        """Return the process from another start; None if its pairs depend on the start."""
+        """Return the process with another start; None if its pairs depend on the start."""
         return None
 
     @property
@@ -125,20 +133,20 @@ class Augmented(ABC):
         return len(self.quotient.pair_at)
 
     def in_all_copies(self, values: FloatArray) -> FloatArray:
-        """Spread numbers of the process's pairs over all copies of the live part, 0 elsewhere.
+        """Return values of the process's pairs as values of all pairs of all copies.
 
         Args:
-            values: numbers per pair of the process, [process pairs].
+            values: [process pairs].
 
         Returns:
-            [copies * width + 1].
+            Values, [copies * width + 1], 0 for pairs that no policy reaches; the source is last.
         """
         every = np.zeros(self.copies * self.width + 1)
         every[self.part.pairs] = values
         return every
 
     def paid(self, copy: int) -> float | None:
-        """Return the accumulated cost of a copy, or None if the process does not count it."""
+        """Return the accumulated cost of a copy; None in case M."""
         return None
 
     @property
@@ -152,7 +160,7 @@ class Augmented(ABC):
         return self._of_copies(self.quotient.gives_up)
 
     def _of_copies(self, chosen: BoolArray) -> BoolArray:
-        """Return a mask of the pairs of one copy, [width], for all copies, [process pairs]."""
+        """Return a mask of the process's pairs, [process pairs], from one of a copy, [width]."""
         return np.append(np.tile(chosen, self.copies), False)[self.part.pairs]
 
     def label(self, number: int) -> ColumnLabel:
@@ -213,7 +221,7 @@ class Augmented(ABC):
 
 @dataclass(frozen=True, eq=False)
 class LabelledModel(Augmented):
-    """The process of case M: states that have not failed; failing mass leaves the process."""
+    """The process of case M: its states are those of runs that have not failed yet."""
 
     inner: FailureLabelled
     discount: float | None
@@ -226,10 +234,10 @@ class LabelledModel(Augmented):
         semantics: FailureSemantics,
         discount: float | None,
     ) -> LabelledModel:
-        """Build the augmented model that has all labelled states.
+        """Build the augmented model from a process of case M, with all its states.
 
         Args:
-            inner: the labelled states.
+            inner: the process with the failure label.
             start: distribution over states, [states].
             semantics: where giving up is allowed.
             discount: a factor in (0, 1), or None for no discount.
@@ -239,17 +247,17 @@ class LabelledModel(Augmented):
 
     @property
     def live(self) -> FailureLabelled:
-        """The labelled states; there is one copy, since no cost is accumulated."""
+        """The process itself: there is one copy, since no cost is accumulated."""
         return self.inner
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """Yield the flow of the only copy."""
+        """Yield the expected visits of the model's pairs, for the only copy."""
         quotient = self.quotient
         flow = model_flow(quotient, visits[: self.width] / self.inner.departs)
         yield moving_within(quotient, flow, self.start + flow.entering(quotient))
 
     def spread(self, spread: Spread) -> LabelledModel:
-        """Return the augmented model in which each live state is a node: no component is merged."""
+        """Return the augmented model in which each live state is a node of its own."""
         process, single, width = self.process, spread.quotient, self.width
         rows = single.transitions(1.0, departing=False).matrix  # a discount collapses nothing
         rewards = (process.cost, process.failure, process.goal)
@@ -261,9 +269,10 @@ class LabelledModel(Augmented):
         return LabelledModel.of(labelled, self.start, self.semantics, self.discount)
 
     def started(self, start: Hashable | Mapping[Hashable, float]) -> LabelledModel | None:
-        """Return the model from another start.
+        """Return the augmented model with another start.
 
-        None with a horizon, and if an episode may end where it begins.
+        The result is None with a horizon, or if an episode may end where it begins: then the pairs
+        depend on the start.
         """
         if isinstance(self.model, ProductSSP) and self.model.is_hidden:
             return None
@@ -274,26 +283,27 @@ class LabelledModel(Augmented):
         return LabelledModel.of(live, begun, self.semantics, self.discount)
 
     def counted(self, term: Term) -> FloatArray:
-        """Return the coefficient of a quantity at each pair, [process pairs]."""
+        """Return the coefficient of a term for each pair, [process pairs]."""
         counting = counting_of(self.inner, self.start, self.semantics, self.discount)
         return np.append(*term.at(counting))[: self.process.n_pairs]
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredModel(Augmented):
-    """The process of case S: states and accumulated costs, without distinction above the cap.
+    """The process of case S: its states are pairs of a model state and an accumulated cost.
 
-    The process contains only the totals that a run can reach.
+    It contains only accumulated costs that a run can reach. One last layer stands for all costs
+    above the cap.
     """
 
     inner: OpenEnded
 
     @classmethod
     def of(cls, inner: OpenEnded, start: FloatArray, semantics: FailureSemantics) -> LayeredModel:
-        """Build the augmented model of a table of layers, keeping only the reachable part of it.
+        """Build the augmented model from layers of accumulated cost, without unreachable states.
 
         Args:
-            inner: the table.
+            inner: the layers and the last layer above the cap.
             start: distribution over states, [states].
             semantics: where giving up is allowed.
         """
@@ -306,7 +316,7 @@ class LayeredModel(Augmented):
         return self.inner.base
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """Yield the flow in each layer; mass that enters a layer has left an earlier one."""
+        """Yield the expected visits of the model's pairs in each layer, the lowest cost first."""
         base, quotient, n_pairs = self.inner.base, self.quotient, self.width
         model, merged = quotient.model, bool(quotient.merged.any())
         entering = np.zeros((self.copies + base.width if merged else 0, model.n_states))
@@ -326,19 +336,19 @@ class LayeredModel(Augmented):
             yield flow
 
     def spread(self, spread: Spread) -> LayeredModel:
-        """Return the layers with no component collapsed."""
+        """Return the augmented model in which no component of a layer is merged."""
         base = spread_layer(self.inner.base, spread, self.start)
         return LayeredModel.of(replace(self.inner, base=base), self.start, self.semantics)
 
     def counted(self, term: Term) -> FloatArray:
-        """Return the coefficient of a quantity at each pair of all layers, [process pairs]."""
+        """Return the coefficient of a term for each pair of all layers, [process pairs]."""
         taken = self.inner.everywhere(*term.at(self.inner.counting(self.semantics)))
         return taken[self.part.pairs]
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """Return the cost-aware policy that a choice in the process describes.
+        """Translate a choice in the process to a policy of the model that remembers the cost.
 
-        At a total that no run reaches, it decides as at the next smaller total.
+        At an accumulated cost that no run reaches, it acts as at the next smaller one.
 
         Args:
             choice: one pair of each state of the process, [process states].
@@ -356,7 +366,7 @@ class LayeredModel(Augmented):
 
     @property
     def copies(self) -> int:
-        """Number of layers up to the cap, whose layer stands for all greater totals."""
+        """Number of layers, including the last one, which stands for all costs above the cap."""
         return self.inner.cap + 1
 
     def paid(self, copy: int) -> float:

@@ -48,19 +48,20 @@ _HOW = "a convex expression <= a concave one, or == between affine ones, such as
 
 
 class _ScaledExpression:
-    """An affine expression of the visits in case S, which scales its bounds automatically.
+    """An affine expression of the visits in case S, to be compared with bounds as stated.
 
-    ``scaled`` is the expression in cvxpy's variables: the value for the visits times ``scale``.
+    The variables of cvxpy are the visits times a variable ``scale``. ``scaled`` is the expression
+    in these variables; bounds are multiplied by ``scale`` automatically.
     """
 
     __array_ufunc__ = None  # numpy's numbers leave the operators to this class
 
     def __init__(self, scaled: Any, scale: Any) -> None:
-        """Take an expression that is already scaled, and the scale."""
+        """Store an expression in the scaled variables, and the scale variable."""
         self.scaled, self._scale = scaled, scale
 
     def __array__(self, *_: object) -> None:
-        """Refuse the conversion to an array, as ``parameter * expression`` would attempt.
+        """Raise an error: ``parameter * expression`` would treat the expression as an array.
 
         Raises:
             ModelError: always.
@@ -69,7 +70,7 @@ class _ScaledExpression:
                          "write expression * parameter, expression <= parameter")  # fmt: skip
 
     def _other(self, other: Any) -> Any:
-        """Return the other operand, scaled: an expression of visits, a number or a parameter."""
+        """Return an operand in the scaled variables: an expression, a number or a parameter."""
         return other.scaled if isinstance(other, _ScaledExpression) else other * self._scale
 
     def __add__(self, other: Any) -> _ScaledExpression:
@@ -110,7 +111,7 @@ class _ScaledExpression:
 
 
 class Conflict(dict[str, str]):
-    """Rows that cannot be satisfied together: name -> bound in short."""
+    """Rows that cannot be satisfied together, by name, each with its bound in short."""
 
     def __repr__(self) -> str:
         """Return a line for each row."""
@@ -123,15 +124,16 @@ class Conflict(dict[str, str]):
 class ConvexProgram:
     """An occupation program stated in cvxpy.
 
-    ``x`` is the variable, ``constraints`` holds the rows by name and takes further ones,
-    ``objective`` may be replaced by any convex expression. Bounds, start and costs are parameters
-    of cvxpy: setting ``bounds[name].value`` and solving again, or :meth:`solve` with a start or an
-    objective, does not compile the problem again. In case S ``x`` is the visits times ``scale``, so
-    that the goal probability is 1.
+    - ``x`` is the variable: the expected visits. In case S it is the visits times ``scale``, a
+      second variable, such that the goal probability of ``x`` is 1.
+    - ``constraints`` has the rows by name; further constraints may be added.
+    - ``objective`` may be replaced by any convex expression.
+    - Bounds, start and costs are parameters of cvxpy. The problem is not compiled again if
+      ``bounds[name].value`` is set, or :meth:`solve` is called with a start or an objective.
     """
 
     def __init__(self, program: OccupationProgram) -> None:
-        """State an occupation program in cvxpy.
+        """Write an occupation program in cvxpy.
 
         Args:
             program: the program.
@@ -266,14 +268,21 @@ class ConvexProgram:
             raise SolverError(f"cvxpy: the answer breaks {name!r} {excess}: try another solver, "
                               "or tighter tolerances by its options")  # fmt: skip
         kept = _OBJECTIVE if name == _OBJECTIVE else f"constraint {name!r}"
-        raise SolverError(f"{kept} is attained only with visits that circulate for ever and that "
-                          f"no policy makes: the policy's visits break it {excess}")  # fmt: skip
+        raise SolverError(f"{kept} is attained only by visits that circulate for ever, which no "
+                          f"policy has: the policy's visits break it {excess}")  # fmt: skip
 
     def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
-        """Return a policy's visits, each row's violation, and the rows that the solver violates.
+        """Return the solver's answer as the measure of a policy, with the violations of rows.
 
-        The visits are cleaned of noise, at the smallest level at which a policy within the rows has
-        these visits.
+        Noise of the solver is removed from the visits. The noise level is the smallest one at which
+        the visits are those of a policy that satisfies the rows.
+
+        Args:
+            began: time at which solving began, by ``time.perf_counter``.
+
+        Returns:
+            The measure; the relative violation of each row by it; and the names of the rows that
+            the solver's own answer violates, or may violate.
         """
         problem, given, solvers = self.problem, self.measure(), _broken_rows(self._added)
         program, scale = given.program, self._scale
@@ -305,10 +314,11 @@ class ConvexProgram:
     def _least_proved(self) -> float | None:
         """Return a lower bound by the duals of all rows, recomputed from the model.
 
-        Objective and rows at their prices form one linear function of the visits, which is
-        minimised over all visits that balance. Prices of lower limits that are too high by a
-        solver's tolerance can make circulation profitable, and the bound infinite: these prices are
-        then lowered by the tolerance, terms of that size are left out, and the ratio is lowered.
+        The Lagrangian, which is the objective plus the rows at their prices, is a linear function
+        of the visits. It is minimised over all visits that satisfy flow balance. If the price of a
+        lower limit is too high by a solver's tolerance, endless cycles may become profitable, and
+        the minimum -inf. Then such prices and the ratio are lowered by the tolerance, and terms of
+        that size are left out.
 
         Returns:
             The bound; None if a row or the objective is not linear or has other variables than
@@ -343,10 +353,10 @@ class ConvexProgram:
         return None
 
     def _affine(self, expression: Any) -> FloatArray | None:
-        """Return the coefficients of ``x`` and ``scale`` in an affine expression, and its constant.
+        """Return the coefficients of an affine expression, [pairs + 2].
 
-        The result has shape [pairs + 2]; None if the expression is not affine or has other
-        variables.
+        They are those of ``x``, that of ``scale``, and the constant. The result is None if the
+        expression is not affine or has other variables.
         """
         variables, own = expression.variables(), {id(self.x), id(self.scale)}
         if not expression.is_affine() or not own.issuperset(map(id, variables)):
@@ -373,7 +383,7 @@ class ConvexProgram:
         return left, "==" if isinstance(row, Equality) else relation, right
 
     def _measured_rows(self) -> Iterator[MeasuredRow]:
-        """Yield the added rows with <= or ==, entry by entry, at the variables' values."""
+        """Yield each scalar entry of the added rows (<= or ==), with its value, bound and dual."""
         for name, row in self._added.items():
             if not isinstance(row, Equality | Inequality):
                 continue
@@ -399,11 +409,12 @@ class ConvexProgram:
         return self.objective is self._stated[1] and unchanged and self._constant.value == 0.0
 
     def conflict(self, solver: str | None = None, **options: Any) -> Conflict:
-        """Find rows that cannot be satisfied together, added ones included; empty if there is none.
+        """Find rows, also added ones, that cannot be satisfied together; empty if there are none.
 
-        The set is irreducible: without any one of its rows the others can be satisfied. Each row
-        is left out in turn, and put back if the rest becomes feasible. (HiGHS's irreducible subsets
-        split the flow balance into single rows, and do not support nonlinear rows.)
+        The set is irreducible: without any one of its rows the others can be satisfied. To find it,
+        each row is left out once, and put back if the remaining rows become feasible. (HiGHS's
+        irreducible subsets are not used: they split the flow balance into single rows, and do not
+        support nonlinear rows.)
 
         Args:
             solver: a solver of cvxpy; None: cvxpy's choice.
@@ -438,7 +449,9 @@ class ConvexProgram:
         return "as it is stated"
 
     def measure(self) -> OccupationMeasure:
-        """Return the occupation measure at the variables' values, whatever problem was solved.
+        """Return the occupation measure at the present values of the variables.
+
+        The values may come from any cvxpy problem with these variables.
 
         Raises:
             SolverError: the variables have no values.
@@ -482,7 +495,7 @@ class ConvexProgram:
 
     @property
     def _bounded(self) -> OccupationProgram:
-        """The linear program with the rows that are unchanged, at the current bounds and start."""
+        """The linear program of the unchanged rows, at the current bounds and start."""
         program = self.program if self._begun is None else self.program.started(self._begun)
         program = program.bounded_by(self._now, anew=False)
         if all(map(self._is_stated, self.bounds)):
@@ -531,14 +544,14 @@ def _solve_stated(
 ) -> bool:
     """Solve a convex problem by cvxpy.
 
-    If HiGHS fails, it runs again without its presolve; if the solver that cvxpy chooses fails,
-    HiGHS runs.
+    If HiGHS was requested and fails, it runs again without its presolve. If no solver was requested
+    and cvxpy's choice fails, HiGHS runs.
 
     Args:
         problem: the problem.
         solver: a solver of cvxpy; None: cvxpy's choice.
         options: options of the solver.
-        tight: whether to set the smallest tolerances that the solver supports, if it is known.
+        tight: whether to set the smallest tolerances that the solver supports, if these are known.
 
     Returns:
         Whether there is an optimum; otherwise the constraints are infeasible.

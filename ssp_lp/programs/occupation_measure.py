@@ -60,9 +60,9 @@ _LISTED = 20  # number of rows that are printed
 class OccupationMeasure:
     """Expected visits of every pair of the process, with the prices and the status of the solver.
 
-    The visits are, to rounding, the visits of the policy that the solver's answer describes.
-    Objective, activity and residual are recomputed from these visits and the program. The residual
-    is the amount by which a row is exceeded, which a solver's tolerance allows.
+    Up to rounding, they are the visits of the policy that the solver's answer describes. Objective,
+    activities and residual are recomputed from the visits and the program. The residual is the
+    largest violation of a row, which the solver's tolerance may allow.
     """
 
     program: OccupationProgram
@@ -80,11 +80,12 @@ class OccupationMeasure:
 
     @cached_property
     def rows(self) -> tuple[MeasuredRow, ...]:
-        """Rows of the program with activity and dual, rows that the user added last.
+        """Rows of the program with activity, price and dual, followed by rows that the user added.
 
-        In case S the price is the price of the ratio: for every policy, ``cost + price * (spent -
-        bound)`` divided by the goal probability is at least c*. One more unit of the bound improves
-        c* by the price divided by the goal probability. With goal probability 0 there is no c*.
+        In case S the price is a multiplier of the ratio: for every policy, ``cost + price * (spent
+        - bound)`` divided by the goal probability is at least c*. The dual is the improvement of c*
+        by one more unit of the bound: the price divided by the goal probability. With goal
+        probability 0 there is no c*, and no dual.
         """
         success = self._goal if self.program.ratio else 1.0
         stated = []
@@ -112,7 +113,7 @@ class OccupationMeasure:
 
     @property
     def _goal(self) -> float:
-        """Goal probability, discounted if the problem is."""
+        """Goal probability; discounted if the problem has a discount."""
         return float(self.program.process.goal @ self.visits)
 
     @cached_property
@@ -125,7 +126,7 @@ class OccupationMeasure:
 
     @cached_property
     def imbalance(self) -> float:
-        """Greatest violation of flow balance or x >= 0."""
+        """Largest violation of flow balance or of x >= 0, in visits."""
         process = self.program.process
         outflow = np.bincount(process.pair_state, weights=self.visits, minlength=process.n_states)
         off = np.abs(outflow - process.transitions.T @ self.visits - process.start).max(initial=0.0)
@@ -133,16 +134,16 @@ class OccupationMeasure:
 
     @property
     def residual(self) -> float:
-        """Greatest violation of flow balance, x >= 0 or a row."""
+        """Largest violation of flow balance, of x >= 0, or (relative to its bound) of a row."""
         over = [row.violation(self.activity[row.name]) for row in self.program.rows]
         return max(self.imbalance, *over, 0.0)
 
     @property
     def beyond(self) -> float:
-        """Probability of reaching the goal at a total above the last one that is distinguished.
+        """Probability of reaching the goal from an accumulated cost above the program's cap.
 
-        Such successes are charged the last distinguished total, which is too little: a greater
-        ``cost_cap`` of the problem distinguishes more totals.
+        The program charges such successes only the cap, which is too little. A greater ``cost_cap``
+        of the problem raises the cap.
         """
         augmented = self.program.augmented
         if augmented.copies == 1:
@@ -160,13 +161,15 @@ class OccupationMeasure:
         return abs(value - self.optimal_value_from_dual) / max(abs(value), 1.0)
 
     def balanced(self, noise: tuple[float, float] = NOISES[0]) -> OccupationMeasure:
-        """Return the measure of the policy that draws each pair by its share of its state's visits.
+        """Return the measure of the policy that these visits describe.
 
-        If the visits balance, the result is this measure without the visits that circulate in
-        cycles, which the policy never enters.
+        In each state the policy draws a pair in proportion to the pair's visits. If the visits
+        satisfy flow balance, the result differs from them only by visits of endless cycles, which
+        the policy never enters.
 
         Args:
-            noise: outflow of a state, and share of it, up to which visits count as 0.
+            noise: visits up to these two limits count as 0: the total visits of a state, and the
+                share of a pair in its state's visits.
         """
         process = self.program.process
         otherwise = leaving_choice(process.dynamics, process.goal)
@@ -180,7 +183,8 @@ class OccupationMeasure:
         as often as the measure says (paper, section 2.2).
 
         Raises:
-            ModelError: in case S, if the measure follows both tails from one accumulated cost.
+            ModelError: case S, and from some accumulated cost the measure follows both of the
+                policies that are possible above the cap.
         """
         process = self.program.process
         return self.program.augmented.randomised_policy(
@@ -191,18 +195,19 @@ class OccupationMeasure:
         """Return a lottery over deterministic policies, drawn at the start, with these visits.
 
         If the measure is a vertex of the program, there is at most one member more than there are
-        rows that hold with equality; otherwise there may be more members. The objective and the
-        failure of an optimal measure are preserved. Secondary costs, and the cost of a measure
-        found with other objectives or rows, may be lower: visits that circulate for ever belong to
-        no deterministic policy that leaves, and a member that can no longer reach the goal has
-        failed and pays nothing more.
+        rows that hold with equality; otherwise there may be more members.
 
-        If the visits balance only within a solver's tolerance, noise is removed, at the smallest
-        level at which they become the visits of a policy.
+        The lottery has the objective and the failure of an optimal measure. Secondary costs may be
+        lower, and so may the cost of a measure that was found with another objective or other rows,
+        for two reasons. Visits of endless cycles belong to no policy that ends every run. A member
+        that can no longer reach the goal has failed, and pays nothing more.
+
+        If the visits satisfy flow balance only within a solver's tolerance, noise is removed. The
+        noise level is the smallest one at which they are the visits of a policy.
 
         Raises:
-            SolverError: no policy that leaves has such visits, or the lottery breaks a row by more
-                than the measure does.
+            SolverError: no policy that ends every run has such visits, or the lottery violates a
+                row by more than the measure does.
         """
         if self.reduced is not None:
             return self.reduced.mixed_policy()
@@ -227,8 +232,9 @@ class OccupationMeasure:
     def to_frame(self) -> Any:
         """Return a pandas ``DataFrame`` with a row for each column of the program.
 
-        Its columns: state, action, cost (accumulated before, in case S), visits, probability (share
-        of the state's visits); if duals are known, also value (of taking it first) and advantage.
+        Columns of the frame: state, action, cost (accumulated before the action, in case S),
+        visits, and probability (share in the state's visits). If duals are known, also value (of
+        taking the action first) and advantage (its reduced cost).
 
         Raises:
             MissingDependencyError: pandas is not installed.
@@ -278,11 +284,11 @@ class OccupationMeasure:
 
 @dataclass(frozen=True, eq=False)
 class StateValues:
-    """Dual values of states: the least expected cost from a state, with rows charged at prices.
+    """Values of states: the least expected cost from a state, with each row charged at its price.
 
-    ``values["depot"]`` is the value of a state. The mean over the start is c* plus the sum of price
-    times bound over the rows. In case S the cost is reduced by c* times the goal probability, so
-    that the mean is only the sum of price times bound.
+    They are the duals of flow balance; ``values["depot"]`` is the value of a state. The mean over
+    the start distribution is c* plus the sum over the rows of price times bound. In case S, c*
+    times the goal probability is subtracted from the cost, so the mean is the sum alone.
     """
 
     program: OccupationProgram
@@ -297,7 +303,7 @@ class StateValues:
     def at(
         self, state: Hashable, action: Hashable | None = None, cost: float | None = None
     ) -> float:
-        """Return the value of a state, or of taking an action first, by the duals of flow balance.
+        """Return the value of a state, or of taking an action there first.
 
         Args:
             state: a live state: neither goal nor dead-end.
@@ -305,7 +311,7 @@ class StateValues:
             cost: in case S the accumulated cost, one that the program distinguishes.
 
         Raises:
-            ModelError: no such state or action, or one that the program has no row for.
+            ModelError: an unknown state or action, or a state without exactly one row of balance.
         """
         if action is not None:
             return self.at(state, cost=cost) + self.advantage(state, action, cost)
@@ -336,19 +342,21 @@ def balanced_visits(
     gives_up: BoolArray | None = None,
     noise: tuple[float, float] = NOISES[0],
 ) -> FloatArray:
-    """Return the visits of the policy that draws pairs by shares of a solver's visits, [pairs].
+    """Return the visits of the policy that a solver's visits describe, [pairs].
 
-    A solver's visits balance only within its tolerance; the result balances to rounding. In states
-    from which the goal cannot be reached, the policy gives up if it may and ``gives_up`` is given.
-    Visits that circulate for ever are left out, since no policy enters such cycles.
+    In each state the policy draws a pair in proportion to the solver's visits. Those satisfy flow
+    balance only within the solver's tolerance; the result satisfies it up to rounding. Visits of
+    endless cycles are left out, since the policy never enters them.
 
     Args:
         process: the process.
         visits: the solver's visits, [pairs].
-        otherwise: a policy that leaves, used in states whose outflow is within the solver's
-            tolerance of 0, [states].
-        gives_up: whether a policy gives up by a pair, [pairs].
-        noise: outflow of a state, and share of it, up to which a solver's visits count as 0.
+        otherwise: a policy that ends every run, taken in states that the solver hardly visits,
+            [states].
+        gives_up: which pairs give up, [pairs]. If given, the policy gives up, where it may, in
+            states from which it cannot reach the goal.
+        noise: visits up to these two limits count as 0: the total visits of a state, and the share
+            of a pair in its state's visits.
     """
     kept = np.maximum(visits, 0.0)
     outflow = segment_sums(kept, process.pair_offsets)
@@ -372,11 +380,14 @@ def balanced_visits(
 
 
 def drawn_chain(process: ExplicitProcess, share: FloatArray) -> tuple[sp.csr_array, System]:
-    """Return the matrix of a randomised policy's draws, [states, pairs], and its chain.
+    """Return the Markov chain of a randomised policy, with its draws as a matrix.
 
     Args:
         process: the process.
         share: probability of each pair in its state, [pairs].
+
+    Returns:
+        The probabilities, [states, pairs], and the chain on the states.
     """
     drawn, shape = np.flatnonzero(share), (process.n_states, process.n_pairs)
     draws = sp.csr_array((share[drawn], (process.pair_state[drawn], drawn)), shape=shape)
@@ -391,9 +402,9 @@ def shares_of_visits(
 
     Args:
         process: the process.
-        visits: of each pair, [pairs].
-        unseen: states whose visits do not count, [states].
-        otherwise: the pair that is taken in these states, [states].
+        visits: visits of each pair, [pairs].
+        unseen: states whose visits are ignored, [states].
+        otherwise: the pair of each such state that gets share 1, [states].
     """
     share = np.where(unseen[process.pair_state], 0.0, visits)
     share[otherwise[unseen]] = 1.0
@@ -406,19 +417,20 @@ def _decomposed(
     """Decompose an occupation measure into deterministic policies and weights.
 
     The measures of a process are a polytope whose vertices are the measures of deterministic
-    policies (Altman 1999; paper, section 2.2). A policy that only takes pairs with positive visits
-    is split off with the greatest weight that leaves no visit negative. Each such step uses up at
-    least one pair. Let there be k more pairs than states: then there are at most k + 1 members. At
-    a vertex of a program, k is the number of rows that hold with equality. The remaining visits
-    circulate for ever; they cost nothing if the measure is optimal, and no policy needs them.
+    policies (Altman 1999; paper, section 2.2). Each step subtracts the measure of a policy that
+    takes only pairs with positive visits, with the greatest weight that leaves no visit negative.
+    So each step brings the visits of at least one pair to 0. If k more pairs than states have
+    positive visits, there are at most k + 1 members; at a vertex of a program, k is the number of
+    rows that hold with equality. Visits that remain at the end belong to endless cycles; they cost
+    nothing if the measure is optimal.
 
     Args:
         process: the process.
-        visits: visits that balance, [pairs].
+        visits: visits that satisfy flow balance, [pairs].
 
     Returns:
-        A pair of each state for each policy, the policies' weights, which sum to one, and the
-        visits of this lottery, [pairs].
+        The pair of each state for each policy, [members][states]; the weights of the policies,
+        which sum to one, [members]; and the visits of this lottery, [pairs].
 
     Raises:
         SolverError: no policy has these visits.
@@ -456,7 +468,7 @@ def _decomposed(
     excess = (followed - visits - subtracted)[taken] / often[taken]
     wrong = max(float(excess.max(initial=0.0)), remaining)
     if wrong > _WRONG:
-        raise SolverError(f"no lottery has these visits: the nearest one differs by {wrong:.1e}")
+        raise SolverError(f"no lottery has the program's visits to within {wrong:.1e}")
     total = np.sum(weights)
     return tuple(members), np.array(weights) / total, followed / total
 
@@ -468,12 +480,12 @@ def _least_pairs(process: ExplicitProcess, values: FloatArray) -> IntArray:
 
 
 def nearer_to_leaving(process: ExplicitProcess, usable: BoolArray, otherwise: IntArray) -> IntArray:
-    """Return a usable pair of each state that leads nearer to leaving, [states].
+    """Return a policy that ends runs in the fewest steps by usable pairs, [states].
 
     Args:
         process: the process.
         usable: mask of the pairs that may be taken, [pairs].
-        otherwise: pair of a state that no usable pairs lead out of, [states].
+        otherwise: pair of each state from which usable pairs cannot end a run, [states].
     """
     exits = process.dynamics.exits > 0.0
     nearer = nearer_pairs(process.dynamics.graph, usable & exits, usable)

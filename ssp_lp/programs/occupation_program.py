@@ -6,11 +6,11 @@
                 <row_k, x> <= bound_k                 (any number of secondary costs, by name)
                 x >= 0
 
-x counts the expected visits of each pair of the augmented process (paper, eq. JMCMP_def and
-JS3P_def; mathematics, section 3). The ratio of case S becomes linear by the Charnes-Cooper
-transformation: x and the start are scaled by t >= 0 so that <goal, x> = 1, and the failure row
-becomes <failure, x> - budget * t <= 0; other rows likewise. Only the normalising row has a nonzero
-right side, so that its dual is c*.
+x has the expected visits of each pair of the augmented process (paper, eq. JMCMP_def and JS3P_def;
+mathematics, section 3). The ratio of case S becomes linear by the Charnes-Cooper transformation:
+x and the start are multiplied by t >= 0, and a normalising row <goal, x> = 1 is added. The failure
+row becomes <failure, x> - budget * t <= 0, and other rows change in the same way. Only the
+normalising row has a nonzero right side, so its dual is c*.
 """
 
 from __future__ import annotations
@@ -73,18 +73,18 @@ class ProgramRow:
 
     @property
     def largest(self) -> float:
-        """Absolute value of the greatest coefficient."""
+        """Largest absolute value of a coefficient."""
         return float(np.abs(self.coefficients).max(initial=0.0))
 
     @property
     def scale(self) -> float:
-        """The greater of the bound and the greatest coefficient, in absolute value."""
+        """Largest absolute value of the bound and the coefficients."""
         return max(abs(self.bound), self.largest)
 
     def violation(self, activity: float) -> float:
-        """Return the violation by an activity, relative to the bound; 0 if the row is satisfied.
+        """Return by how much an activity exceeds the bound, relative to it; 0 if it does not.
 
-        An excess within rounding of the greatest coefficient does not count.
+        An excess within the rounding error of the largest coefficient does not count.
         """
         excused = ROUNDING * self.largest
         left = max(activity - self.bound - excused, 0.0)
@@ -97,9 +97,9 @@ def rows_program(
     """Build the linear program of a process with named rows.
 
     Args:
-        process: the substochastic process.
+        process: the process whose pairs are the columns.
         limits: name -> (coefficient of each pair, [pairs], and bound).
-        ratio: case S, the objective <cost, x> / <goal, x>; the last column is then t.
+        ratio: whether the objective is <cost, x> / <goal, x> (case S); the last column is then t.
     """
     n_states, n_pairs, n_limits = process.n_states, process.n_pairs, len(limits)
     bounds, free = np.array([bound for _, bound in limits.values()]), np.full(n_limits, -np.inf)
@@ -131,29 +131,40 @@ def rows_program(
 
 @dataclass(frozen=True, eq=False)
 class _Reduction:
-    """The collapsed program that methods solve, and the mapping to the stated program's pairs."""
+    """A smaller program, which is solved in place of the stated one, and the mapping between them.
+
+    In the smaller program, end components of cost 0 are merged and self-loops are removed.
+    """
 
     program: OccupationProgram
     spread: Spread
 
     def _by_copy(self, values: FloatArray, made: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Apply a function to the numbers of each copy; keep the source's number."""
+        """Return values with a function applied to those of each copy; the source's is unchanged.
+
+        Args:
+            values: [copies * width + 1].
+            made: maps the values of one copy, [width], to new ones.
+        """
         copies = self.program.augmented.copies
         own = map(made, values[:-1].reshape(copies, -1))
         return np.concatenate([*own, values[-1:]])
 
     def row(self, stated: Augmented, coefficients: FloatArray) -> FloatArray:
-        """Return a row's coefficients at the pairs of the stated program, [stated pairs]."""
+        """Translate coefficients, [pairs], to the pairs of the stated program, [stated pairs]."""
         taken = self.program.augmented.in_all_copies(coefficients)
         return self._by_copy(taken, self.spread.per_taking)[stated.part.pairs]
 
     def departures(self, stated: Augmented, visits: FloatArray) -> FloatArray:
-        """Translate visits, [stated pairs], to visits of the reduced pairs, [pairs]."""
+        """Translate visits of the stated program, [stated pairs], to the smaller one, [pairs]."""
         gone = self._by_copy(stated.in_all_copies(visits), self.spread.departures)
         return gone[self.program.augmented.part.pairs]
 
     def lifted(self, stated: OccupationProgram, measure: OccupationMeasure) -> OccupationMeasure:
-        """Return a reduced measure as one of the stated program, with moves within components."""
+        """Translate a measure of the smaller program to the stated one.
+
+        Visits of moves within merged components are added.
+        """
         augmented = self.program.augmented
         own = map(self.spread.visits, augmented.flows(measure.visits))
         source = augmented.in_all_copies(measure.visits)[-1:]
@@ -162,7 +173,7 @@ class _Reduction:
         return replace(measure, program=stated, visits=visits, values=values, reduced=measure)
 
     def values(self, stated: OccupationProgram, found: StateValues) -> StateValues:
-        """Return values of the reduced program's states as values of the stated states."""
+        """Translate values of states of the smaller program to the stated one."""
         augmented = self.program.augmented
         nodes = augmented.quotient.node_of[self.spread.quotient.first_states]
         every = np.zeros(augmented.copies * augmented.quotient.n_nodes + 1)
@@ -176,9 +187,9 @@ class _Reduction:
 class OccupationProgram(Report):
     """A linear program over the visits of an augmented process.
 
-    Columns are the pairs of the process, including self-loops and steps of cost 0; x is the
-    expected number of times that each is taken. Case S has one more column, the Charnes-Cooper
-    scale t: visits are multiplied by it so that the goal probability is 1.
+    Columns are the pairs of the process, including self-loops and steps of cost 0. The variable x
+    is the expected number of times that each pair is taken. Case S has one more column, the
+    Charnes-Cooper scale t, by which the visits are multiplied so that the goal probability is 1.
     """
 
     title: str  # the formulation
@@ -209,8 +220,8 @@ class OccupationProgram(Report):
         distinguished, and the actions that attain the least failure.
 
         Args:
-            bounds: by name of the row.
-            anew: False: keep the present columns.
+            bounds: bound of each row that changes, by name.
+            anew: whether to rebuild the program if its columns depend on the bounds.
 
         Raises:
             ModelError: there is no such row, or a bound is not a number.
@@ -229,7 +240,10 @@ class OccupationProgram(Report):
 
     @explained
     def with_rows(self, changed: Callable[[ProgramRow], ProgramRow | None]) -> OccupationProgram:
-        """Return the program with a function applied to each row, without rows that become None."""
+        """Return the program with each row replaced by the value of a function of it.
+
+        Rows for which the function returns None are removed.
+        """
         inner = self.reduced and replace(
             self.reduced, program=self.reduced.program.with_rows(changed)
         )
@@ -256,9 +270,9 @@ class OccupationProgram(Report):
         return make(self.bounds, start=start)
 
     def spread_out(self) -> OccupationProgram:
-        """Return the program with a column for each pair of the model.
+        """Return the program with a column for each pair of the model, self-loops included.
 
-        No component is collapsed, and self-loops are columns as well.
+        The merged program remains as ``reduced``, and is the one that is solved.
         """
         spread = spread_out(self.augmented.quotient, self.augmented.live.departs)
         if spread is None:
@@ -276,7 +290,12 @@ class OccupationProgram(Report):
         return self._stated_on(self.process, ratio=self.ratio)
 
     def _stated_on(self, process: ExplicitProcess, *, ratio: bool) -> LinearProgram:
-        """Return the arrays with other costs, or without the ratio."""
+        """Return the arrays of the program on a process, which may have other costs.
+
+        Args:
+            process: has the costs.
+            ratio: whether the objective is divided by the goal probability.
+        """
         limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
         return rows_program(process, limits, ratio)
 
@@ -287,7 +306,7 @@ class OccupationProgram(Report):
             ModelError: there is no such pair; the scale t of case S has no label.
         """
         if not 0 <= column < self.process.n_pairs:
-            raise ModelError(f"no pair has column {column}: there are {self.process.n_pairs:,}")
+            raise ModelError(f"no pair has column {column}: pass 0 .. {self.process.n_pairs - 1:,}")
         label = self.augmented.label(int(self.augmented.part.pairs[column]))
         if label.action is GIVE_UP and self.reduced is not None:
             merged = self.reduced.program.augmented.quotient.merged
@@ -361,8 +380,8 @@ class OccupationProgram(Report):
             return columns[0]
         at = "" if cost is None else f" at cost {cost:g}"
         if not columns:
-            raise ModelError(f"action {action!r} of state {state!r}{at} has no column: the program "
-                             "needs no such visits")  # fmt: skip
+            raise ModelError(f"action {action!r} of state {state!r}{at} has no column: no policy "
+                             "of the program takes it there")  # fmt: skip
         raise ModelError(
             f"action {action!r} of state {state!r} has {len(columns):,} columns, one for each "
             "accumulated cost: give cost=..., or use columns(...)"
@@ -425,7 +444,7 @@ class OccupationProgram(Report):
             tried.append(report)
         if infeasible:
             raise self.infeasible()
-        raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
+        raise SolverError(f"no backend passes its check ({'; '.join(tried)}): use solve(problem)")
 
     def infeasible(self) -> InfeasibleError:
         """Return the error for rows that no visits satisfy together."""
@@ -476,7 +495,7 @@ class OccupationProgram(Report):
         return self.measure(read_columns(Path(path), self.process.n_pairs + self.ratio))
 
     def _answered(self, answer: LPAnswer) -> OccupationMeasure:
-        """Return a solver's answer as a measure."""
+        """Return a solver's answer as a measure, with balanced visits and a proved bound."""
         rows, dual = self.linear.rows, answer.dual
         scale = float(answer.x[-1]) if self.ratio else 1.0
         prices = ByName({row.name: max(-float(dual[rows[row.name]][0]), 0.0) for row in self.rows})
@@ -487,11 +506,11 @@ class OccupationProgram(Report):
         return self.optimal(measure, ratio)
 
     def optimal(self, measure: OccupationMeasure, ratio: float) -> OccupationMeasure:
-        """Return a solver's optimum with balanced visits and the bound that its duals prove.
+        """Return a solver's optimum with exact flow balance and the bound that its duals prove.
 
         Args:
-            measure: the solver's answer, its visits not balanced yet.
-            ratio: in case S the normaliser's dual.
+            measure: the solver's answer, whose visits balance within the solver's tolerance.
+            ratio: in case S the dual of the normalising row.
         """
         if self.reduced is not None:
             departures = self.reduced.departures(self.augmented, measure.visits)
@@ -530,12 +549,12 @@ class OccupationProgram(Report):
     ) -> tuple[PricedMinimum, float]:
         """Return the best policy at prices of the rows, and the bound that they prove.
 
-        For prices l >= 0 of the rows <q, x> <= b, every measure satisfies ``<cost, x> >= <cost +
-        l q, x> - l b``, and the right side is minimised subject only to balance. The bound holds
-        for the program with these columns, which must be complete.
+        For prices l >= 0 of the rows <q, x> <= b, every feasible measure satisfies ``<cost, x> >=
+        <cost + l q, x> - l b``. The minimum of the right side over all x that satisfy flow balance
+        is a lower bound of the program. It bounds the problem if no column is missing.
 
         Args:
-            prices: of the rows, by name, >= 0.
+            prices: prices of the rows, by name, >= 0.
             ratio: in case S a value near the optimum.
         """
         least_worth = _TRIFLE * float(np.abs(self.process.cost).max(initial=0.0))
@@ -547,14 +566,15 @@ class OccupationProgram(Report):
     def least_of_visits(
         self, cost: FloatArray, constant: float, ratio: float = 0.0
     ) -> tuple[PricedMinimum, float]:
-        """Minimise ``<cost, x> + constant`` over all visits, in case S divided by ``<goal, x>``.
+        """Minimise ``<cost, x> + constant`` over all visits x that satisfy flow balance.
 
-        In case S, ``cost - c goal`` is minimised for a ratio c: if its minimum is at least D <= 0,
-        no ratio is below ``c + D / g``, where g is the least goal probability within the rows.
+        In case S this is divided by ``<goal, x>``. For a ratio c, ``<cost, x> + constant - c <goal,
+        x>`` is minimised. If the minimum is at least D <= 0, no ratio is below ``c + D / g``, where
+        g is the least goal probability within the rows.
 
         Args:
             cost: [pairs].
-            constant: added to the cost.
+            constant: added to the expected cost.
             ratio: in case S a value near the optimum, at which Dinkelbach's iteration starts.
 
         Returns:
@@ -579,7 +599,7 @@ class OccupationProgram(Report):
         return minimum, value
 
     def _lagrangian(self, prices: Mapping[str, float]) -> tuple[FloatArray, float]:
-        """Return the Lagrangian at prices of the rows: costs, [pairs], and a constant."""
+        """Return the Lagrangian of the rows at given prices: a cost, [pairs], and a constant."""
         cost, constant = self.process.cost, 0.0
         for row in self.rows:
             if price := prices.get(row.name, 0.0):  # a bound with price 0 may be infinite
@@ -602,7 +622,7 @@ class OccupationProgram(Report):
         return max(priced_minimum(self.process, priced).bound - paid, 0.0)
 
     def to_cvxpy(self) -> ConvexProgram:
-        """State the program in cvxpy, to add convex objectives and constraints."""
+        """Write the program in cvxpy, to add convex objectives and constraints."""
         from ssp_lp.programs.convex_program import ConvexProgram
 
         return ConvexProgram(self)
@@ -626,8 +646,8 @@ class OccupationProgram(Report):
     def ranges(self) -> Mapping[str, tuple[float, float]]:
         """Compute the range of each bound in which its price stays constant, by name.
 
-        HiGHS computes the ranges at a vertex. If several prices are optimal, they belong to one
-        price.
+        HiGHS computes the ranges at a vertex. If several prices of a row are optimal, the range is
+        that of one of them.
 
         Raises:
             ModelError: case S, in which prices change with every bound.

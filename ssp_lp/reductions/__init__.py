@@ -1,1 +1,1 @@
-"""Problems solved through several calls of a method on restated problems."""
+"""Problems that are solved by solving several restated problems."""

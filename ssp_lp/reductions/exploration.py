@@ -1,9 +1,9 @@
 """Exploration: a problem on an implicit model is solved on a sequence of growing explored parts.
 
-Each part is an ordinary model whose optimum bounds the whole model's
-(:mod:`ssp_lp.model.implicit`). A round solves the part and expands the states in doubt: the
-unexpanded states on which its lottery, or the lottery's permission to fail, depends. Rounds end
-when there are no such states.
+Each part is an ordinary model whose optimum is a bound of the whole model's optimum
+(:mod:`ssp_lp.model.implicit`). A round solves the part and expands the states in doubt. These are
+the unexpanded states that the lottery may reach, or that decide whether it may fail where it does.
+The rounds end when no state is in doubt.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
 
     Args:
         problem: a formulation that ``check_explorable`` accepts.
-        solve: function that solves it on an explored part.
+        solve: function that solves the problem on an explored part.
         time_limit: seconds for all rounds.
 
     Raises:
@@ -50,8 +50,8 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
             contradicts a bound.
         InfeasibleError: no policy satisfies all limits, even if unexplored states attain their
             bounds.
-        OutOfTimeError: the time limit ended the rounds; the error has the proved bound.
-        KeyboardInterrupt: Ctrl-C came before a solution.
+        OutOfTimeError: the time limit ended the rounds; the error states the proved bound.
+        KeyboardInterrupt: Ctrl-C was pressed before a solution was found.
     """
     began, semantics, whole = time.perf_counter(), problem.semantics, problem.model
     may_end, charged = semantics.give_up is GiveUp.DEAD_ENDS, semantics.charge_failing_step
@@ -94,7 +94,7 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
 
 
 def _begun(problem: Problem) -> Exploration:
-    """Return an exploration of a problem's implicit model, with the states in its limits."""
+    """Start exploring a problem's implicit model from the start and the states that limits name."""
     whole, start = cast("ImplicitSSP", problem.model), problem.start
     begin = [*start] if isinstance(start, Mapping) else [start]
     named = [word for word in _words_of(problem) if word not in whole.labels]
@@ -112,10 +112,11 @@ def _words_of(problem: Problem) -> list[Hashable]:
 def _answered(
     problem: Any, solve: Callable[..., Solution], time_limit: float | None
 ) -> tuple[Solution, IntArray]:
-    """Return the solution on an explored part, and the states in doubt.
+    """Solve a problem on an explored part; return the solution and the states in doubt.
 
-    If the problem asks for least failure and the part's policies of least failure violate a limit,
-    the part is solved without limits, to find the states on which these policies depend.
+    With least failure (no budget) and limits, the part may be infeasible: its policies of least
+    failure violate a limit. Then the problem is solved without limits, to find the unexpanded
+    states on which the least failure depends.
 
     Raises:
         ModelError: a limit counts quantities after failing.
@@ -124,7 +125,7 @@ def _answered(
     """
     if problem.unrolled is not problem:
         raise ModelError(
-            "a limit counts quantities after failing, which are not explored: use "
+            "a limit counts events after failing, which are not explored: use "
             "give_up='dead_ends', or build the whole model, SSP.from_successors(...)"
         )
     try:
@@ -142,7 +143,7 @@ def _answered(
 
 
 def _even_at_best(error: InfeasibleError) -> InfeasibleError:
-    """Return an error on a part as an error on the whole model, where no policy does better."""
+    """Restate the error of an infeasible part for the whole model, which is infeasible, too."""
     return InfeasibleError(
         f"even if unexplored states attain their bounds: {error}",
         failure_budget=error.failure_budget,
@@ -154,7 +155,7 @@ def _even_at_best(error: InfeasibleError) -> InfeasibleError:
 
 
 def _unmet(part: ExploredSSP, problem: Problem) -> str:
-    """Return a clause on the states and labels in a problem's limits that were not found."""
+    """Return a note on states and labels in a problem's limits that were not found; "": none."""
     unmet = [
         repr(word)
         for word in _words_of(problem)
@@ -178,7 +179,7 @@ def _bound_in_words(solution: Solution) -> str:
 
 
 def states_in_doubt(solution: Solution) -> IntArray:
-    """Return the states of the fringe on which a solution, or its permission to fail, depends.
+    """Return the fringe states that a solution may reach, or that decide where it may fail.
 
     Args:
         solution: solution of a problem on an explored part.
@@ -208,12 +209,12 @@ def states_in_doubt(solution: Solution) -> IntArray:
 
 
 def _reached(part: ExploredSSP, pairs: IntArray, begin: IntArray) -> BoolArray:
-    """Return the states of the explored part that are reached by some pairs, [states].
+    """Return a mask of the states that are reached if only the given pairs are taken, [states].
 
     Args:
         part: the explored part.
-        pairs: pairs that may be taken.
-        begin: states in which the search begins.
+        pairs: indices of the pairs that may be taken.
+        begin: indices of the states in which the search begins.
     """
     places, counts = entries_of(part.outcome_offsets, np.sort(pairs))
     leads = np.bincount(part.pair_state[np.sort(pairs)], counts, minlength=part.n_states)
@@ -221,13 +222,18 @@ def _reached(part: ExploredSSP, pairs: IntArray, begin: IntArray) -> BoolArray:
 
 
 def _settled(part: ExploredSSP, *, charged: bool) -> tuple[BoolArray, BoolArray]:
-    """Return pairs that surely avoid the goal, and states that may certainly give up.
+    """Return pairs that avoid the goal, and states that may give up whatever the fringe is.
 
-    These are attention states even if no state of the fringe is one, at the same charge.
+    Pairs avoid the goal if the states of the fringe may be attention states, as in the part. A
+    state may certainly give up if it is an attention state even when no state of the fringe is
+    one, and if its charge for giving up is the same in both cases.
 
     Args:
         part: the explored part.
         charged: whether giving up is charged.
+
+    Returns:
+        A mask of the pairs, [pairs], and of the states, [states].
     """
     open_pairs, left = np.ones(part.n_pairs, dtype=np.bool_), np.diff(part.pair_offsets)
     idle, beyond = left == 0, part.goal_mask | part.fringe
@@ -245,7 +251,7 @@ def _settled(part: ExploredSSP, *, charged: bool) -> tuple[BoolArray, BoolArray]
 
 
 def _check_bounds(solution: Solution) -> None:
-    """Check the bounds of an implicit model against the policies of an answer.
+    """Check an implicit model's bounds against the exact values of a solution's policies.
 
     Raises:
         ModelError: a policy reaches the goal more often, or at less cost, than a bound says.
@@ -278,7 +284,7 @@ def _check_bounds(solution: Solution) -> None:
 
 
 def _within(lottery: MixedPolicy) -> MixedPolicy:
-    """Return a lottery without decisions in states that were not expanded."""
+    """Return a lottery with the decisions in states of the fringe removed."""
     members = list[Policy]()
     for member in lottery.policies:
         if isinstance(member, DeterministicPolicy):

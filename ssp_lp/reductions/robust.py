@@ -44,8 +44,8 @@ from ssp_lp.processes.live_rows import costless_pairs
 from ssp_lp.solution import Solution
 
 _BESIDE = LEAST_BUDGET
-"""Length of the step from the worst probabilities into the boxes, as a share of the whole way; it
-changes the failure probability by about as much."""
+"""Weight of a point inside the boxes, mixed with the worst probabilities to make all outcomes
+possible; the failure probability changes by about as much."""
 
 
 def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | None) -> Solution:
@@ -133,11 +133,12 @@ def at_probabilities(problem: Any, probabilities: FloatArray) -> Any:
 def solved_at(
     problem: Any, boxes: Boxes, worst: FloatArray, solve: Callable[[Any], Solution]
 ) -> Solution:
-    """Solve a problem at nature's probabilities; the bound also holds for the whole boxes.
+    """Solve a problem at nature's probabilities; its bound also holds for the whole boxes.
 
-    Probabilities of 0 may add dead-ends and attention states, in which failing then costs less than
-    the boxes allow. In that case the problem is also solved at nearby probabilities, at which every
-    outcome of the boxes is possible, and the solution with the greater bound is returned.
+    Where nature's probability of an outcome is 0, further states may be dead-ends or attention
+    states, in which failing costs too little. In that case the problem is also solved at nearby
+    probabilities, at which every outcome that the boxes allow is possible, and the solution with
+    the greater bound is returned.
 
     Args:
         problem: the problem without ``box``.
@@ -162,13 +163,14 @@ def solved_at(
 
 
 def completed(policy: Policy, decision: IntArray, ends: IntArray) -> IntArray:
-    """Return a policy's decisions at nature's probabilities, completed for the boxes, [states].
+    """Return a policy's decisions, completed so that they also hold for the boxes, [states].
 
     Args:
-        policy: deterministic; undecided at dead-ends and giving up where these probabilities allow.
-        decision: used where it is undecided, or gives up although the boxes do not allow it; but a
-            free action that avoids the goal comes first.
-        ends: the decisions of :func:`ending`.
+        policy: deterministic policy on the model at nature's probabilities. It gives up, or has no
+            decision, in states that are attention states or dead-ends at these probabilities only.
+        decision: decision that is taken in such a state, [states], unless the state has a free
+            action that avoids the goal.
+        ends: the decisions of :func:`ending`, which say where the boxes allow giving up, [states].
     """
     own, model = cast("DeterministicPolicy", policy).decision, policy.model
     free = np.flatnonzero(attention_pairs(model, attention_states(model)) & costless_pairs(model))
@@ -181,10 +183,10 @@ def completed(policy: Policy, decision: IntArray, ends: IntArray) -> IntArray:
 def settled(
     boxes: Boxes, semantics: FailureSemantics, *, safest: bool = False
 ) -> tuple[FloatArray, IntArray, FloatArray, int]:
-    """Find the decisions that are optimal at nature's worst probabilities, by policy iteration.
+    """Find the decisions of least worst loss over the boxes, by policy iteration.
 
-    Decisions are changed only for a strict gain. So each policy surely ends like the one before,
-    and cycles of cost 0 are never entered.
+    A decision is changed only for a strict gain. So every policy of the iteration surely ends, as
+    the first one does, and cycles of cost 0 are never entered.
 
     Args:
         boxes: the boxes.
@@ -192,10 +194,10 @@ def settled(
         safest: minimise the failure probability among the policies of finite worst cost.
 
     Returns:
-        Least worst loss of each state (cost and penalty, or the failure probability), infinite if
-        failing is forbidden and cannot be avoided, or if nature can keep every policy from ending,
-        [states]; the robust decisions, [states]; nature's probabilities, [outcomes]; and the number
-        of rounds.
+        Four results. The least worst loss of each state, [states]: cost plus penalty, or the
+        failure probability; infinite if failing is forbidden and cannot be avoided, or if nature
+        can prevent every policy from ending. The robust decisions, [states]. Nature's
+        probabilities, [outcomes]. The number of rounds.
     """
     model, only_failing = boxes.support, safest or semantics.aim is Aim.GREATEST_GOAL
     acting = ~(model.goal_mask | dead_ends(model))
@@ -228,20 +230,21 @@ def settled(
         best = np.full(model.n_states, UNDECIDED, dtype=np.int64)
         best[np.diff(model.pair_offsets) > 0] = first_minimisers(mean, least, model.pair_offsets)
         decision = np.where(better, best, decision)
-    raise SolverError("the policy iteration over the boxes does not converge")
+    raise SolverError("rounding makes policies over the boxes repeat; please report the model")
 
 
 def worst_loss(
     boxes: Boxes, decision: IntArray, acting: BoolArray, loss: FloatArray, ends: FloatArray | None
 ) -> FloatArray:
-    """Return the worst loss of a plan that surely ends from each state, [states].
+    """Return the worst loss over the boxes of a policy that surely ends, from each state, [states].
 
     Args:
         boxes: the boxes.
-        decision: decisions of the plan, [states].
-        acting: states from which it is followed, [states].
-        loss: losses of states that it does not reach, [states].
-        ends: loss at each end, added to the cost; None: the probability of failing, [states].
+        decision: decisions of the policy, [states].
+        acting: mask of the states from which the policy is followed, [states].
+        loss: losses that are kept where the policy does not get to, [states].
+        ends: loss at each end, [states], to which costs are added; None: the loss is the
+            probability of failing.
     """
     loss = np.array(loss, dtype=np.float64)
     if acting.any():
@@ -254,14 +257,14 @@ def worst_loss(
 
 
 def worst_means(boxes: Boxes, worth: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the probabilities, [outcomes], that maximise the mean worth of pairs, [pairs]."""
+    """Return nature's probabilities of greatest mean worth, [outcomes], and the means, [pairs]."""
     offsets = boxes.model.outcome_offsets
     worst = greatest_mean(boxes.low, boxes.high, worth, offsets)
     return worst, segment_sums(worst * worth, offsets)
 
 
 def check_ends(model: SSP, kept: BoolArray) -> None:
-    """Raise :class:`ModelError` if nature can keep runs from some states, [states], from ending."""
+    """Raise :class:`ModelError` if nature can prevent a run from ending: in ``kept``, [states]."""
     if kept.any():
         raise ModelError(
             f"state {model.states[int(np.argmax(kept))]!r}: the boxes allow probabilities with "
@@ -273,17 +276,18 @@ def check_ends(model: SSP, kept: BoolArray) -> None:
 def ending(
     boxes: Boxes, semantics: FailureSemantics
 ) -> tuple[IntArray, FloatArray, IntArray, BoolArray]:
-    """Return a policy that surely ends and gives up wherever it may, and the charges of doing so.
+    """Return a policy that surely ends, whatever nature does, and gives up wherever it may.
 
-    From the other states nature can keep every policy from ever ending, at infinite cost.
+    From some states, called lost here, nature can prevent every policy from ending, at infinite
+    cost.
 
     Returns:
-        Its decisions, [states]; worst charges of giving up, or of entering a dead-end, [states]; 0,
-        or the round in which a state was found to be one of the others, [states]; and the pairs
-        that never lead to these, [pairs].
+        Four arrays. The decisions, [states]. The worst charges of giving up in a state, or of
+        entering a dead-end, [states]. The round in which a state was found to be lost, 0 if it is
+        not, [states]. A mask of the pairs that never lead to a lost state, [pairs].
 
     Raises:
-        ModelError: nature can keep every policy from ever ending, but at a cost of 0.
+        ModelError: nature can prevent every policy from ending, but at a cost of 0.
     """
     model = boxes.support
     acting = ~(model.goal_mask | dead_ends(model))
@@ -302,17 +306,18 @@ def ending(
 def _losing(boxes: Boxes, ends: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
     """Return the states from which nature can prevent every policy from surely ending.
 
-    A state is kept if one of its pairs may lead to an end, or to a state kept before, whatever
-    nature does. The other states are lost. Pairs that may lead to them are removed, and the next
-    round begins.
+    In each round a state is kept if one of its pairs has, whatever nature does, a positive
+    probability of leading to an end or to a state that is kept already. The other states are lost,
+    and pairs that may lead to a lost state are removed before the next round.
 
     Args:
         boxes: the boxes.
         ends: states in which a run ends, such as the goals, [states].
 
     Returns:
-        The round in which each state is lost, 0: never, [states]; a decision for the others that
-        surely reaches an end, [states]; and the pairs that never lead to a lost state, [pairs].
+        Three arrays. The round in which each state is lost, 0 if never, [states]. Decisions by
+        which the other states surely reach an end, [states]. A mask of the pairs that never lead
+        to a lost state, [pairs].
     """
     model = boxes.support
     offsets, successors = model.outcome_offsets, model.successors

@@ -1,8 +1,8 @@
-"""Limits on totals with too many values: a plan by amounts rounded up, a bound by rounding down.
+"""Limits on totals with too many values: amounts are rounded up for a policy, down for a bound.
 
-A policy that satisfies ``within(fuel, 10) >= 0.95`` with every amount rounded up satisfies it with
-the exact amounts, too; with every amount rounded down, every policy that satisfies the exact limit
-satisfies the rounded one. The problem itself rounds up, so that its policies are feasible.
+A policy that satisfies ``within(fuel, 10) >= 0.95`` with every amount rounded up also satisfies it
+with the exact amounts. A policy that satisfies it with the exact amounts also satisfies it with
+every amount rounded down, so the optimum with amounts rounded down is a bound.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ssp_lp.solution import Solution
 
 
 def rounded_down(problem: Problem) -> Problem | None:
-    """Return the problem with amounts rounded down that it rounds up; None: it rounds none."""
+    """Return a problem that rounds amounts up with these rounded down; None: it rounds none."""
     rounded = rounded_in(problem.tracked.model)
     if not rounded:
         return None
@@ -40,10 +40,10 @@ def solve_rounded(
     """Solve a problem with amounts rounded up, and bound its optimum with amounts rounded down.
 
     Args:
-        problem: the problem, whose amounts are rounded up.
-        down: the same with amounts rounded down.
-        solve: function that solves one of the two.
-        tolerance: relative gap above which the answer does not count as optimal.
+        problem: the problem with amounts rounded up.
+        down: the problem with amounts rounded down.
+        solve: function that solves either problem.
+        tolerance: relative gap above which the solution does not count as optimal.
 
     Raises:
         InfeasibleError: no policy satisfies the limits, even with amounts rounded down.
@@ -55,9 +55,9 @@ def solve_rounded(
         found = solve(problem)
     except InfeasibleError as error:
         raise SolverError(
-            f"totals are rounded to multiples of {unit:.3g}: rounded up no policy satisfies the "
-            "limits, rounded down some policy does: round the amounts to fewer values, or ask for "
-            "less"
+            "the limits' feasibility is undecided: no policy satisfies them with totals rounded up "
+            f"to multiples of {unit:.3g}, but one does with totals rounded down; round the amounts "
+            "to fewer values, or relax the limits"
         ) from error
     upper = found.upper_bound
     if upper is not None and looser.upper_bound is not None:
@@ -66,7 +66,7 @@ def solve_rounded(
         found, upper_bound=upper, lower_bound=min(found.lower_bound, looser.lower_bound)
     )
     told = (f"totals are rounded to multiples of {unit:.3g}, up for the policy, down for the bound:"
-            f" they differ by {found.gap:.1e}")  # fmt: skip
+            f" the gap is {found.gap:.1e}")  # fmt: skip
     is_wide = found.gap > tolerance and found.status is Status.OPTIMAL
     status = Status.TOLERANCE_MISSED if is_wide else found.status
     return replace(found, status=status, note="; ".join(filter(None, (found.note, told))))

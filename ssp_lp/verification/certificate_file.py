@@ -1,8 +1,8 @@
 """Certificate files: a problem's question and model, exactly, and a proof of its optimum.
 
 ``certificate_lines.py``, with ``expand.py`` and ``prove.py``, checks a file and prints the question
-and the result. These scripts share nothing with the library, so that this module need not be
-trusted. A float stands for its shortest decimal; a cost given as a fraction stands for itself.
+and the result. These scripts share nothing with the library, so this module need not be trusted. In
+a file, a float is its shortest decimal, and a cost that was given as a fraction is that fraction.
 """
 
 from __future__ import annotations
@@ -50,10 +50,11 @@ from ssp_lp.verification.prove import Bounds, RefusedError, number
 
 _CAPS, _NARROW = 12, 1e-10  # number of caps to try, and the relative width that ends the trials
 _MOST_NODES = 2_000_000
+_AIM = 1e-12  # relative width for which a cap is chosen by the rate of the earlier ones
 _STEEP = 1000.0  # price of failing with least failure, times 1 + |objective|
 _FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
-_IN_MEMORY = ": certify(solution) proves it in memory"
+_IN_MEMORY = "; certify(solution) proves the optimum in memory"
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,12 @@ def check_certificate(path: str | Path, *, problem: Problem | None = None) -> Ch
 
 
 def _checked(lines: reading.Lines, expected: str | None = None) -> Checked:
-    """Check the lines of a certificate; return the verdict if they are accepted."""
+    """Check the lines of a certificate and return the verdict; raise an error if they are refused.
+
+    Args:
+        lines: lines of the file, from the first one at each call.
+        expected: SHA-256 that the question and the model must have; None: any.
+    """
     bounds, question, digests = reading.check(lines, expected)
     names = {}
     states = islice(lines(), 1, 1 + question["states"])
@@ -174,12 +180,15 @@ def sha256_of(problem: Problem) -> str:
 
 
 def _refused(problem: Problem, why: str) -> ModelError:
-    """Return the error for a question that certificate files do not cover."""
+    """Return the ModelError for a problem whose question certificate files do not cover."""
     return ModelError(f"no certificate file of {type(problem).__name__}: {why}")
 
 
 class Statement:
-    """A problem's question and model in a certificate's format, the horizon not unrolled."""
+    """A problem's question and model in the format of certificate files.
+
+    The model has no copies of states for the steps taken: a horizon is part of the question.
+    """
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem = problem.tracked
@@ -195,7 +204,7 @@ class Statement:
         known = TotalCostCharge, Reward, ExpectedArrivalCost
         if charge is not None and not isinstance(charge, known):
             name = type(charge).__name__
-            raise _refused(problem, f"its charge of the total cost is a {name}{_IN_MEMORY}")
+            raise _refused(problem, f"its charge, {name}, is not covered{_IN_MEMORY}")
         self.flat, self.charge = problem, charge
         if problem.horizon is not None:
             labels = {**problem.model.state_labels, LATE: np.zeros(0, dtype=np.int64)}
@@ -212,7 +221,7 @@ class Statement:
 
     @cached_property
     def states(self) -> list[bytes]:
-        """Lines of the model's states."""
+        """The lines of the model, one for each state."""
         model = self.flat.model
         texts = [[str(exact[c]) if c in exact else text_of(c) for c in costs.tolist()]
                  for costs, exact in self.costs]  # fmt: skip
@@ -285,7 +294,11 @@ class Statement:
         }  # fmt: skip
 
     def _steps(self, charge: Charge) -> list[list[str]]:
-        """Return a charge as steps, one at each total at the goal if the charge is not linear."""
+        """Return a charge as linear pieces: relation, first total, value there and slope, as text.
+
+        A charge that is not piecewise linear gets a constant piece for each possible total at the
+        goal.
+        """
         if isinstance(charge, TotalCostCharge):
             return _TOTAL
         if isinstance(charge, WithinBound):
@@ -307,7 +320,14 @@ class Statement:
         return [*steps, [">", str(totals[-1]), text_of(sign * charge.offset), "0"]]
 
     def _quantity(self, condition: Condition, stated: Any) -> dict[str, Any]:
-        """Return a quantity in the certificate's format, registering its costs and sets."""
+        """Return a quantity in the format of certificate files.
+
+        Its costs and sets are added to those of the file.
+
+        Args:
+            condition: the quantity, looked up in the model.
+            stated: the quantity as stated, for its constant, or None.
+        """
         terms = list[list[Any]]()
         constant = Fraction(text_of(condition.constant if stated is None else stated.constant))
         for weight, term in condition.terms:
@@ -323,7 +343,7 @@ class Statement:
         return {"constant": str(constant), "terms": terms}
 
     def _cost(self, model: SSP) -> int:
-        """Return the position of a cost among those of the file, adding a new one."""
+        """Return the position of a model's cost among those of the file; add it if it is new."""
         for position, (costs, exact) in enumerate(self.costs):
             if exact == model.exact_costs and np.array_equal(costs, model.costs):
                 return position
@@ -331,7 +351,10 @@ class Statement:
         return len(self.costs) - 1
 
     def _set(self, mask: BoolArray) -> str:
-        """Return a set's name, adding a new set: goal, out of time, a label, a state, a number."""
+        """Return the name of a set of states in the file; add the set if it is new.
+
+        The name is "goal", "out of time", a label with these states, the only state, or a number.
+        """
         model, members = self.flat.model, mask.nonzero()[0]
         if np.array_equal(mask, model.goal_mask):
             return "goal"
@@ -357,7 +380,12 @@ def text_of(value: float | Fraction) -> str:
 
 
 def program_of(asked: dict[str, Any], statement: Statement, cap: Fraction = Fraction(0)) -> Program:
-    """Build the program of a step's question.
+    """Build the linear program of a question whose failure bound is an interval.
+
+    Args:
+        asked: the question, as ``certificate_lines.stated`` returns it.
+        statement: has the model.
+        cap: total cost from which on totals are not distinguished.
 
     Raises:
         ModelError: the program has too many nodes, or the question is refused.
@@ -369,7 +397,7 @@ def program_of(asked: dict[str, Any], statement: Statement, cap: Fraction = Frac
 
 
 def goal_totals(question: dict[str, Any], statement: Statement, cap: Fraction) -> list[Fraction]:
-    """Return 0 and the totals at which a last step from below a cap can reach the goal."""
+    """Return the total costs at which the goal can be reached from below a cap, and 0, sorted."""
     any_failure = {"failure": (Fraction(1), Fraction(1)), "charge": _TOTAL, "greatest": False}
     program = program_of({**question, **any_failure}, statement, cap)
     ends = {r + t for x, r in program.place for action in program.model[x].actions
@@ -394,18 +422,18 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
 
     Args:
         solution: a solution of ``solve``.
-        path: path of the file, which is gzip whatever its name.
-        tolerance: a file is written only if the proved interval agrees with the solution's
-            objective and bound, and the policy attains the objective, up to this share of the
-            objective (or of 1, if that is greater).
+        path: path of the file, which is compressed by gzip whatever its name.
+        tolerance: largest error, relative to max(1, abs(objective)). The file is written only if
+            the proved interval agrees with the solution's objective and bound, and the policy
+            attains the objective.
 
     Returns:
-        The proved result.
+        The verdict, with the proved interval.
 
     Raises:
         ModelError: the criterion is not covered, or the model is implicit.
-        SolverError: the solution is not proved: no policy satisfies a row to rounding, or the
-            solution disagrees with the proof.
+        SolverError: the solution is not proved, because no policy satisfies a row up to rounding,
+            or because the solution disagrees with the proof.
     """
     if isinstance(solution.problem.model, ExploredSSP):
         raise ModelError(
@@ -467,8 +495,19 @@ def certificate_of(solution: Solution) -> list[bytes]:
 def _best_proof(
     asked: dict[str, Any], statement: Statement, solved: Solution, step: str
 ) -> tuple[list[bytes], Bounds]:
-    """Return the best proof of a program, doubling the cap until the interval is narrow."""
-    cap, widths = _first_cap(asked, solved), [math.inf]
+    """Return the lines and the interval of the best proof of one program of a certificate.
+
+    The cap on total costs is raised until the interval is narrow, or hardly gets narrower. It is
+    doubled first; afterwards its next value follows from the rate at which the width has fallen.
+
+    Args:
+        asked: the question of the program.
+        statement: has the model.
+        solved: the solution, whose policies and prices start the search for a proof.
+        step: name of the program: "least", "main", "late" or "from".
+    """
+    cap = more = _first_cap(asked, solved)
+    widths = [math.inf]
     for _ in range(_CAPS):
         nodes = Nodes(program_of(asked, statement, cap), len(statement.model))
         first = solved.policy.policies if step != "least" else ()
@@ -482,12 +521,18 @@ def _best_proof(
             break
         if nodes.size > _MOST_NODES // 2:
             break
-        cap *= 2
+        if len(widths) > 2:
+            ahead = math.log(widths[-1] / _AIM) / math.log(widths[-2] / widths[-1])
+            more = min(max(more * Fraction(ahead), cap / 8), 3 * cap)
+        cap += math.ceil(more)
     return best
 
 
 def _prices(program: Program, solved: Solution, *, is_main: bool) -> list[Fraction]:
-    """Return the solution's prices of rows as first prices; failure's price includes the ratio."""
+    """Return the prices at which a program's proof begins, from the solution's prices, [rows].
+
+    The price of failure includes the ratio. All prices are 0 unless this is the main program.
+    """
     of_failure, asked = solved.failure_price, program.question
     if of_failure is None or not math.isfinite(of_failure):
         of_failure = _STEEP * (1.0 + abs(solved.objective)) * (asked["failure"][1] < 1)
@@ -498,7 +543,7 @@ def _prices(program: Program, solved: Solution, *, is_main: bool) -> list[Fracti
 
 
 def _first_cap(asked: Mapping[str, Any], solved: Solution) -> Fraction:
-    """Return the first total to try as the cap, from which on totals are not distinguished."""
+    """Return the first cap to try: the total cost from which on totals are not distinguished."""
     if not asked["charge"]:
         return Fraction(0)
     cap = max(number(at) for _, at, _, _ in asked["charge"]) + 1
@@ -512,10 +557,10 @@ def _first_cap(asked: Mapping[str, Any], solved: Solution) -> Fraction:
 
 
 def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
-    """Return the function from a node to the column that a policy takes there.
+    """Return a function from a node of a program to the column that a policy takes there.
 
     Raises:
-        ModelError: the policy remembers more than totals, or draws its actions.
+        ModelError: the policy remembers more than the total cost, or draws its actions.
     """
     model, program = solved.problem.model, nodes.program
     every = [i for block in nodes.blocks for i in block if i]
@@ -533,10 +578,10 @@ def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
             paid = np.rint(paid / policy.unit) * policy.unit
         memory = policy.remember(memory, memory, states, paid)
     elif policy.memory_size != 1:
-        raise ModelError("no certificate of a policy that remembers more than the cost paid")
+        raise ModelError("no certificate file of a policy that remembers more than the total cost")
     branches = policy.branches(states, memory)
     if len(branches.situation) != acting.size:
-        raise ModelError("no certificate of a policy that draws its actions")
+        raise ModelError("no certificate file of a policy that draws its actions at random")
     taken = np.where(branches.pair < 0, UNDECIDED, branches.pair - model.pair_offsets[states])
     table = dict(zip([every[k] for k in acting.tolist()], taken.tolist(), strict=True))
 

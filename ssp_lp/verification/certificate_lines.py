@@ -2,9 +2,10 @@
 
 With ``expand.py`` and ``prove.py`` beside it, this needs Python's standard library alone. A file is
 unpacked and read line by line: the question, a line for each state, and the proof of each program
-of the question. Least failure, or a share of the greatest goal probability, is proved first, and
-bounds the failure that the second program allows. A quantile B also needs two programs, both given
-success: a lottery exceeds B rarely enough, and every lottery has a total of at least B too often.
+of the question. Most questions have one program. If least failure or a share of the greatest goal
+probability is asked for, a first program proves the least failure, which bounds the failure in the
+second one. A quantile B of the total C given success, at a level L, needs two programs: the first
+proves Pr(C > B) <= 1 - L for some lottery, the second Pr(C >= B) > 1 - L for every lottery.
 """
 
 import gzip
@@ -113,7 +114,7 @@ def model_of(lines: Lines, question: Question) -> Iterator[State]:
 
 
 def read_proof(lines: Iterator[bytes], *, ratio: bool) -> tuple[Proof, str, int]:
-    """Read the next proof of a file, its cap, and the number of nodes that it has a line for."""
+    """Read the next proof of a file; return it with its cap and the number of its nodes."""
     kinds = {"cap": str, "prices": list, "weights": list, "unit": int, "lines": int}
     head = read(next(lines), **kinds, **({"ratio": str} if ratio else {}))
     prices, weights = (list(map(number, head[key])) for key in ("prices", "weights"))
@@ -135,19 +136,26 @@ def read_proof(lines: Iterator[bytes], *, ratio: bool) -> tuple[Proof, str, int]
 
 
 def in_units(text: Any) -> int:
-    """Return the whole number of units that a text states."""
+    """Return the whole number that a text states, a count of the proof's units."""
     need(number(text).denominator == 1, "no whole number of units:", text)
     return int(number(text))
 
 
 def steps_of(question: Question) -> list[str]:
-    """Return the names of a question's programs, in their order."""
+    """Return the names of a question's programs in the order of their proofs in the file."""
     is_share = type(question["failure"]) is dict or question["failure"] == "least"
     return ["least"] * is_share + (["main"] if question["quantile"] is None else ["late", "from"])
 
 
 def stated(question: Question, step: str, answer: Any, done: dict[str, Bounds]) -> Question:
-    """Return a program's question, with an interval of allowed failure, and a quantile's charge."""
+    """Return the question of one program: failure gets an interval as bound, a quantile a charge.
+
+    Args:
+        question: the question of the file.
+        step: name of the program.
+        answer: the value of a quantile, or None.
+        done: proved intervals of the programs before, by name.
+    """
     if step == "least":
         return {**question, "failure": (Fraction(1), Fraction(1)), "objective": FAILING, "rows": [],
                 "charge": [], "ratio": False, "greatest": False}  # fmt: skip
@@ -192,7 +200,7 @@ def proved_steps(
 
 
 def digested(program: Program, digest: Any) -> Iterator[Any]:
-    """Yield the columns of a program while hashing its text."""
+    """Yield the columns of a program; meanwhile ``digest`` is updated by the program's text."""
     rows = [[row.name, str(row.least), str(row.most)] for row in program.rows]
     head = [program.size, str(program.objective.constant), rows, list(program.follows.items())]
     digest.update(json.dumps(head, separators=(",", ":")).encode() + b"\n")

@@ -35,12 +35,13 @@ def certify(
 ) -> Certificate:
     """Certify a solution: recompute objective and bound from model, policy, price and values.
 
-    The objective and the failure come from an exact evaluation of the policy on the model; if the
-    distribution of its total cost needs too large a table, a bound by mean and variance, which is
-    never better, replaces the objective. The lower bound comes from the price and the
-    value function alone. The value function is lowered until one backup, less its rounding errors,
-    shows that it bounds the priced cost of every policy from below. So a wrong policy, price or
-    value function is refused or widens the gap.
+    The objective and the failure come from an exact evaluation of the policy on the model. If the
+    distribution of the policy's total cost needs too large a table, the objective is replaced by a
+    bound by mean and variance, which is never better.
+
+    The lower bound comes from the price and the value function alone. The value function is lowered
+    until one backup, less its rounding errors, shows that it bounds the priced cost of every policy
+    from below. So a wrong policy, price or value function is refused or widens the gap.
 
     Args:
         solution: a solution of ``solve``, or one put together by hand.
@@ -77,7 +78,7 @@ def certify(
         if isinstance(part, ExploredSSP):
             assumption = part.whole.assumption
             if not reason and states_in_doubt(solution).size:
-                reason = "the policy rests on states that were not explored"
+                reason = "the policy depends on states that were not explored"
         is_maximised = solution.problem.semantics.sense.constant is not None
         above = is_maximised and solution.problem.objective_condition is None
         certificate = certificate_of(
@@ -89,7 +90,11 @@ def certify(
 
 
 def _evaluated(solution: Solution) -> tuple[Evaluation, list[Evaluation]]:
-    """Evaluate a policy and its members, by moments if distributions of costs are too long."""
+    """Return the evaluation of a solution's lottery, and of each of its members.
+
+    If the distribution of the total cost needs too large a table, evaluations are pessimistic, by
+    mean and variance.
+    """
     problem = solution.problem
     try:
         return evaluate_each(solution.policy, problem)
@@ -102,7 +107,15 @@ def _evaluated(solution: Solution) -> tuple[Evaluation, list[Evaluation]]:
 
 
 def _proved(solution: Solution, evaluation: Evaluation, members: list[Evaluation]) -> Proved:
-    """Prove a bound by the problem's approach, or by the cheapest way if that fails or is worse."""
+    """Return a bound of the optimum, proved by the method that fits the problem.
+
+    The bound by the cheapest way to the goal replaces it if the method fails or proves less.
+
+    Args:
+        solution: the solution.
+        evaluation: evaluation of its lottery.
+        members: evaluations of the lottery's members.
+    """
     case = Case.of_solution(solution)
     approach = approach_to(case)
     unsearched = solution.value_function is None and solution.status is not Status.OPTIMAL
@@ -126,7 +139,10 @@ _BUDGET_ROUNDING = 1e-12
 
 @dataclass(frozen=True, repr=False)
 class Certificate(Facts):
-    """Recomputed values; ``accepted`` if the policy satisfies the budget and all limits."""
+    """Verdict on a solution, with its recomputed values.
+
+    It is ``accepted`` if the policy satisfies the budget and all limits.
+    """
 
     objective: float  # exact value of the policy
     lower_bound: float  # no policy within the budget is cheaper
@@ -144,7 +160,7 @@ class Certificate(Facts):
     def gap(self) -> float:
         """Certified relative gap between objective and bound; infinite if refused.
 
-        With least failure, the gap of the goal probability if that gap is wider.
+        With least failure it is the larger of this gap and the gap of the least failure.
         """
         if not self.accepted:
             return float("inf")
@@ -154,7 +170,7 @@ class Certificate(Facts):
         return max(relative_gap(self.objective, self.lower_bound), failing)
 
     def tables(self) -> list[Table]:
-        """Return a table of the verdict, both sides of the gap, and the failure."""
+        """Return one table: verdict, objective, bound, gap, failure and assumptions."""
         upper = self.upper_bound
         side, bound = ("lower", self.lower_bound) if upper is None else ("upper", upper)
         facts = [
@@ -185,7 +201,7 @@ def certificate_of(
         bound: bound of every policy's objective.
         budget: the largest failure allowed.
         reason: why the policy is refused, if that is known already.
-        tail: the part of the relative gap that a cap leaves.
+        tail: the part of the relative gap that is due to a cap on accumulated cost.
         above: whether the bound is an upper bound.
     """
     failure = evaluation.limited_failure

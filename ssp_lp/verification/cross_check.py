@@ -58,7 +58,11 @@ class MethodResult:
 
     @cached_property
     def members(self) -> FloatArray:
-        """Weight, J_obj, and J_cond, the failure that is limited, of each policy, [members, 3]."""
+        """Weight, J_obj and J_cond of each policy of the lottery, [members, 3].
+
+        In the paper's notation J_obj is the expected cost (in case S of successful runs only), and
+        J_cond is the failure that the budget limits.
+        """
         if (one := self.answer) is None:
             return np.zeros((0, 3))
         each = evaluate_each(one.policy, one.problem)[1]
@@ -69,7 +73,7 @@ class MethodResult:
         return np.column_stack([one.policy.weights, costs, failures])
 
     def row(self) -> tuple[str | float | None, ...]:
-        """Return the method's row of the table, in the order of its columns."""
+        """Return the values of this method's row in the table of :class:`CrossCheck`."""
         if (one := self.answer) is None:
             return (self.name, *[None] * (len(_COLUMNS) - 2), self.seconds)
         return (self.name, one.objective, one.lower_bound, one.gap, one.adversary_weight,
@@ -141,7 +145,10 @@ _DIGITS = {"objective": 10, "bound": 10, "gap": 2, "seconds": 2}
 
 @dataclass(frozen=True)
 class SecondReading:
-    """Numbers of dead-ends and other kinds of states, and differences between two readings."""
+    """Result of reading a model twice, by independent code.
+
+    It has the numbers of dead-ends and of other kinds of states, and the differences found.
+    """
 
     dead_ends: int
     giving_up: int  # states in which a policy may give up
@@ -292,9 +299,16 @@ def compare_methods(
     tolerance: float = 1e-6,
     weight_tolerance: float = 1e-4,
 ) -> CrossCheck:
-    """Compare results of methods for one problem.
+    """Compare the results of several methods for one problem.
 
-    Every method takes a budget up to LEAST_BUDGET below the least failure as equal to it.
+    A policy may exceed the budget by LEAST_BUDGET, because every method accepts a budget so little
+    below the least failure as equal to it.
+
+    Args:
+        methods: the results.
+        problem: the problem.
+        tolerance: relative distance of costs that still counts as agreement.
+        weight_tolerance: distance of two alpha* above which the prices must be proved.
     """
     smallest = _NOTHING * float(problem.model.costs.max(initial=0.0))
     budget = 1.0 if problem.failure_budget is None else problem.failure_budget
@@ -354,7 +368,10 @@ def _spread(solutions: Iterable[Solution]) -> float:
 
 
 def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) -> dict[str, str]:
-    """Return objections to methods that call a problem infeasible that another one solves."""
+    """Return objections to methods that report a problem as infeasible, by name of the method.
+
+    Another method has solved the problem.
+    """
     findings = {}
     for method in methods:
         if isinstance(error := method.error, InfeasibleError):
@@ -368,7 +385,10 @@ def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) ->
 def _mutual_objections(
     answers: Mapping[str, Solution], agree: Callable[[float, float], bool]
 ) -> dict[str, str]:
-    """Return objections to methods outside the majority, or with a bound above a known value.
+    """Return objections to methods that contradict other methods, by name of the method.
+
+    Either the objective differs from that of the majority, or the lower bound exceeds the value of
+    another method's policy.
 
     Args:
         answers: answers by method.
@@ -379,7 +399,7 @@ def _mutual_objections(
     near = [[name for name, cost in costs.items() if agree(own, cost)] for own in costs.values()]
     majority = max(near, key=len, default=[])
     if len(majority) == 1 < len(costs):
-        findings = dict.fromkeys(costs, "no other method has its c*")
+        findings = dict.fromkeys(costs, "no other method finds its c*")
     elif len(majority) < len(costs):
         reason = f"its c* differs from that of {', '.join(sorted(majority))}"
         findings = dict.fromkeys(costs.keys() - set(majority), reason)
@@ -394,7 +414,9 @@ def _mutual_objections(
 
 
 def second_reading(problem: Problem) -> SecondReading | None:
-    """Read a problem's model a second time and compare; None if the model is too large.
+    """Read a problem's model by the certificates' checker, and compare with the library's reading.
+
+    The result is None if the model is too large.
 
     Raises:
         ModelError: certificate files do not cover the criterion.

@@ -1,13 +1,15 @@
 """Proofs of a certificate's programs: exact bounds and lotteries by column generation.
 
 This module need not be trusted, since ``prove.py`` checks its results. Numbers are whole multiples
-of
-1 / ``ONE``, called units. Values at prices come from policy iteration, which starts from a policy
-that is optimal in working precision. Its equations are solved by a factorisation in working
-precision, refined until they hold up to some units. The values are then lowered by a tiny share of
-the longest run among optimal columns, so that every inequality holds with room for the digits that
-are left out. An upper bound of a member's quantity is a lower bound with the opposite sign. The
-master program over the members is solved in fractions.
+of 1 / ``ONE``, called units.
+
+- Values at given prices come from policy iteration, which starts from a policy that is optimal in
+  double precision. The equations of a policy are solved by a factorisation in double precision,
+  with iterative refinement until they hold up to some units.
+- The values are then lowered slightly, in proportion to the longest run among optimal columns. So
+  every inequality holds with a margin, and fewer digits have to be written.
+- An upper bound of a member's quantity is a lower bound of the quantity with the opposite sign.
+- The master program over the members is solved in fractions.
 """
 
 from __future__ import annotations
@@ -50,7 +52,10 @@ Decide = Callable[[int], int]  # node -> position of the column that a policy ta
 
 
 class _Way(NamedTuple):
-    """A column within a block: from a node, with probability a / total, to each (a, node)."""
+    """A column of a program, restricted to a block of nodes.
+
+    It leads from ``node`` to each node j of ``outcomes``, pairs (a, j), with probability a / total.
+    """
 
     node: int
     total: int
@@ -72,7 +77,7 @@ class Member(NamedTuple):
 
 
 class _Lottery(NamedTuple):
-    """Optimum of the master program over members, and its duals."""
+    """The best lottery over known members, and the prices of the rows there."""
 
     weights: list[Fraction]  # [members]; empty if no lottery satisfies the rows
     prices: list[Fraction]  # [rows]; if infeasible, every member violates the rows at them
@@ -80,7 +85,11 @@ class _Lottery(NamedTuple):
 
 
 class Nodes:
-    """Columns of a program by node, in blocks whose columns lead to the block or earlier ones."""
+    """The columns of a program by node, and the nodes in blocks.
+
+    The columns of a block lead only to nodes of this block and of earlier ones, so blocks can be
+    solved one after another.
+    """
 
     def __init__(self, program: Program, n_states: int) -> None:
         self.program, n = program, program.graph.size
@@ -115,11 +124,20 @@ class Nodes:
         return list(self.program.decisions(node, x, self.program.model[x].actions, r))
 
     def values(self, prices: Sequence[Fraction]) -> dict[int, int]:
-        """Return values that satisfy every inequality at prices, near the greatest such values."""
+        """Return values of all nodes that satisfy every inequality of a lower bound at prices.
+
+        They are almost the greatest values with this property.
+
+        Args:
+            prices: prices of the rows, >= 0, [rows].
+
+        Returns:
+            Node -> value, in units.
+        """
         value, costs = dict[int, int](), dict[Counts, Fraction]()
 
         def priced(counts: Counts) -> Fraction:
-            """Return the cost of a column with these counts, in units."""
+            """Return the priced cost of a column with given counts, in units."""
             if (cost := costs.get(counts)) is None:
                 cost = costs[counts] = sum(map(mul, prices, counts[1:]), counts[0]) * ONE
             return cost
@@ -134,7 +152,7 @@ class Nodes:
         return value
 
     def stop(self, node: int, *, must_wait: bool = False) -> int:
-        """Return the position of a node's column that waits for ever or, without one, gives up.
+        """Return the position of a node's column that waits for ever, or else of giving up.
 
         Raises:
             SolverError: the node has no such column.
@@ -142,15 +160,20 @@ class Nodes:
         program, x = self.program, self.state_of(node)
         stops = (x in program.giving_up) + (x in program.waiting)
         if not stops or (must_wait and x not in program.waiting):
-            raise SolverError("the answer is not proved: a policy stops where it may not")
+            raise SolverError("the answer is not proved: a policy gives up where it may not")
         return len(self.actions[x]) + stops - 1
 
     def state_of(self, node: int) -> int:
-        """Return the number of a node's state, or of its (state, steps taken)."""
+        """Return the number of a node's state; with a horizon, of its (state, steps taken)."""
         return self.where[node][0] if node in self.where else (node - 1) % self.program.graph.size
 
     def member(self, decide: Decide) -> Member:
-        """Evaluate the policy of given decisions, which waits where it would never end.
+        """Return a policy with the numbers t and u that prove its quantities (``prove.py``).
+
+        Where the policy would never end, it waits for ever instead, which must be free.
+
+        Args:
+            decide: node -> position of the column that the policy takes.
 
         Raises:
             SolverError: the policy goes on for ever where waiting is not free.
@@ -192,7 +215,12 @@ class Nodes:
 
 
 def _closure(begin: Iterable[int], after: Callable[[int], Iterable[int]]) -> set[int]:
-    """Return the nodes that can be reached from some nodes, these included."""
+    """Return the nodes that can be reached from given nodes, including these.
+
+    Args:
+        begin: the given nodes.
+        after: node -> nodes that it leads to.
+    """
     queue = list(begin)
     met = set(queue)
     for i in queue:  # the queue grows in the loop
@@ -205,12 +233,12 @@ def _closure(begin: Iterable[int], after: Callable[[int], Iterable[int]]) -> set
 def _ways_of(
     columns: Sequence[Column], costs: Iterable[Fraction], known: Mapping[int, int]
 ) -> list[_Way]:
-    """Return the columns of some nodes as ways between these nodes, which are numbered in order.
+    """Return the columns of a block of nodes as ways between its nodes, numbered from 0.
 
     Args:
-        columns: columns of the nodes, node by node.
+        columns: columns of the block, node by node.
         costs: cost of each column, in units.
-        known: values of the other nodes that the columns lead to, which become part of the cost.
+        known: values of nodes outside the block, in units; they become part of the cost.
     """
     nodes = dict.fromkeys(column.node for column in columns)
     place, ways = {i: n for n, i in enumerate(nodes)}, list[_Way]()
@@ -222,9 +250,10 @@ def _ways_of(
 
 
 def _best_of_block(ways: Sequence[_Way]) -> Iterable[tuple[int, int]]:
-    """Return the value of each node of a block, and a best way from it.
+    """Return a value of each node of a block, in units, and the index of a best way from it.
 
-    The nodes of a free end component have one value, since its cycles give no inequality.
+    All nodes of a free end component get the same value. They must be treated as one node, because
+    cycles of cost 0 do not bound the values from above.
     """
     if not any(way.outcomes for way in ways):
         return ((value, w) for w, value in zip(*sub_solution(ways, ()), strict=True))
@@ -248,12 +277,17 @@ def _best_of_block(ways: Sequence[_Way]) -> Iterable[tuple[int, int]]:
 
 
 def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[int], list[int]]:
-    """Return a best choice, and values v <= own + mean v for all ways, near the greatest ones.
+    """Return a best choice, and almost greatest values v that satisfy the inequality of every way.
+
+    The inequality is v at the way's node <= cost of the way + mean of v over its outcomes.
 
     Args:
-        ways: ways of all nodes.
-        choice: a way for each node, such that every node is left eventually; any if no way has
+        ways: ways of all nodes, node by node.
+        choice: a way for each node, by which every run ends; it has no effect if no way has
             outcomes.
+
+    Returns:
+        The index of a way for each node, and the values in units.
     """
     if not any(way.outcomes for way in ways):
         best = dict[int, tuple[int, int]]()
@@ -291,7 +325,7 @@ def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[
 
 
 def _too_high(ways: Sequence[_Way], values: Sequence[int]) -> set[int]:
-    """Return the nodes whose value exceeds the cost of a way from there."""
+    """Return the nodes whose value violates the inequality of a way from there."""
     return {node for node, total, outcomes, own in ways
             if values[node] * total > own + sum(a * values[j] for a, j in outcomes)}  # fmt: skip
 
@@ -299,7 +333,14 @@ def _too_high(ways: Sequence[_Way], values: Sequence[int]) -> set[int]:
 def best_values(
     ways: Sequence[_Way], choice: Sequence[int]
 ) -> tuple[Sequence[int], list[int], list[int]]:
-    """Find a best choice by policy iteration, with its values and each way's reduced cost.
+    """Find a best choice by policy iteration, up to some units.
+
+    Args:
+        ways: ways of all nodes, node by node.
+        choice: a way for each node, by which every run ends.
+
+    Returns:
+        The best way of each node, the value of each node, and the reduced cost of each way.
 
     Raises:
         SolverError: policy iteration does not end.
@@ -318,19 +359,19 @@ def best_values(
 
 
 def near_choice(ways: Sequence[_Way], dynamics: Dynamics) -> list[int]:
-    """Return a way for each node, nearly best, found in working precision; every node is left.
+    """Return a nearly best way for each node, found in double precision; every run ends.
 
     Args:
         ways: ways of all nodes, node by node.
-        dynamics: the same in working precision.
+        dynamics: the process of these ways in double precision.
 
     Raises:
-        SolverError: a node cannot be left.
+        SolverError: from some node no run can end.
     """
     costs, leaves = np.array([way.own / way.total / ONE for way in ways]), dynamics.exits > 0.0
     choice = nearer_pairs(dynamics.graph, leaves)
     if choice.min() < 0:
-        raise SolverError("some states cannot be left")
+        raise SolverError("the answer is not proved: from some states no run can end")
     # to a cheap exit where there is one: giving up everywhere would be undone state by state
     cheap = nearer_pairs(dynamics.graph, leaves & (costs <= costs[leaves].mean()))
     choice = np.where(cheap < 0, choice, cheap)
@@ -340,7 +381,7 @@ def near_choice(ways: Sequence[_Way], dynamics: Dynamics) -> list[int]:
 
 
 def _dynamics_of(ways: Sequence[_Way], n_nodes: int) -> Dynamics:
-    """Return the ways of all nodes, node by node, as a process in working precision."""
+    """Return the ways of all nodes, node by node, as a process in double precision."""
     counts = np.bincount([way.node for way in ways], minlength=n_nodes)
     exits = [(way.total - sum(a for a, _ in way.outcomes)) / way.total for way in ways]
     entries = [(w, j, a / way.total) for w, way in enumerate(ways) for a, j in way.outcomes]
@@ -349,13 +390,16 @@ def _dynamics_of(ways: Sequence[_Way], n_nodes: int) -> Dynamics:
 
 
 def _matrix(entries: Sequence[tuple[int, int, float]], shape: tuple[int, int]) -> sp.csr_array:
-    """Return a matrix of given entries (row, column, value), of which equal places are summed."""
+    """Return a matrix of given entries (row, column, value); entries of equal place are summed."""
     rows, columns, values = np.array(entries, dtype=np.float64).reshape(-1, 3).T
     return sp.csr_array((values, (rows.astype(np.int64), columns.astype(np.int64))), shape=shape)
 
 
 def solved(chosen: Sequence[_Way]) -> list[int]:
-    """Return the values of nodes with one way each, which satisfy their equations to units."""
+    """Return the values of nodes with one way each, in units.
+
+    The equations hold up to some units, by iterative refinement.
+    """
     if not any(way.outcomes for way in chosen):
         return [way.own // way.total for way in chosen]
     size, values, last = len(chosen), [0] * len(chosen), 0
@@ -377,15 +421,16 @@ def solved(chosen: Sequence[_Way]) -> list[int]:
 def best_lottery(
     members: Sequence[Sequence[Fraction]], rows: Sequence[Row], room: Fraction, *, ratio: bool
 ) -> _Lottery:
-    """Solve the master program: weights >= 0 of members, of least objective or ratio, within rows.
+    """Solve the master program in fractions: the lottery of least objective within the rows.
 
-    If no lottery satisfies the rows, the weight that is missing from a lottery is minimised.
+    If no lottery satisfies the rows, the sum of the weights may be below 1. Then the missing weight
+    is minimised, which gives prices at which every member violates the rows.
 
     Args:
         members: objective and row values of each member, [members][1 + rows].
         rows: rows that the lottery must satisfy.
         room: share of min(|bound|, 1) by which the lottery may exceed a row.
-        ratio: whether the objective is divided by 1 - row 0.
+        ratio: whether the objective is divided by the goal probability, 1 - row 0.
     """
     n, size = len(members), len(rows)
     entries = [
@@ -414,12 +459,14 @@ def best_lottery(
 def lower_bound(
     program: Program, prices: Sequence[Fraction], begin: int, rows: Sequence[Fraction]
 ) -> Fraction | None:
-    """Return the lower bound that values at prices prove; None if they bound no ratio.
+    """Return the lower bound of the objective or ratio that values at given prices prove.
+
+    It is None if they prove no bound of the ratio.
 
     Args:
         program: the program.
         prices: prices of its rows.
-        begin: value of the beginning, in units.
+        begin: value of node 0, where runs begin, in units.
         rows: the bound of each row.
     """
     bound = program.objective.constant + Fraction(begin, ONE) - sum(map(mul, prices, rows), ZERO)
@@ -434,12 +481,13 @@ def lower_bound(
 def proof_of(
     nodes: Nodes, first: Sequence[Member], prices: Sequence[Fraction]
 ) -> tuple[list[bytes], Bounds]:
-    """Find the best proof of a program: generate columns until both bounds agree.
+    """Find the best proof of a program, by column generation until both bounds agree.
 
     Args:
         nodes: nodes of the program.
-        first: members of a nearly optimal lottery, which has exact prices if it draws.
-        prices: nearly optimal prices, used first if a single member is the best lottery.
+        first: members of a nearly optimal lottery. If the best lottery over them mixes several, it
+            determines the first prices.
+        prices: nearly optimal prices, the first ones otherwise.
 
     Returns:
         The lines of the proof in a file, and the interval that it proves.
@@ -478,6 +526,12 @@ def proof_of(
         member = nodes.member(nodes.last.__getitem__)
         is_new = (key := frozenset(member.decision.items())) not in members
         members[key] = member
+        paid = map(mul, [Fraction(1), *prices], member.totals)
+        attained = lower_bound(program, prices, math.floor(sum(paid) * ONE), most)
+        if lower is not None and attained is not None and lottery.weights:
+            worth = lottery.value + program.objective.constant
+            if attained >= worth - _LESS * (1 + abs(worth)):
+                break  # no policy improves the lottery: the rest of the width is the cap's
     if best is None or not lottery.weights:
         raise SolverError(_broken(rows, members.values(), lottery.prices))
     exact = best_lottery(totals, rows, ZERO, ratio=ratio)
@@ -500,7 +554,14 @@ def proof_of(
 def _in_lines(
     head: dict[str, Any], values: Mapping[int, int], members: Sequence[Member]
 ) -> list[bytes]:
-    """Return a proof as lines of a file, in the largest unit that divides its numbers."""
+    """Return a proof as lines of a certificate file.
+
+    Args:
+        head: fields of the first line, without the unit; updated.
+        values: node -> value of the lower bound, in units of 1 / ``ONE``.
+        members: members of the lottery. All numbers are written as multiples of the largest unit
+            that divides them.
+    """
     vectors = [values, *(vector for one in members for vector in one.u)]
     unit = math.gcd(ONE, *(value for vector in vectors for value in vector.values()))
     nodes = sorted(set(values).union(*(one.decision for one in members)))
@@ -514,12 +575,15 @@ def _in_lines(
 
 
 def line_of(content: object) -> bytes:
-    """Return content as a line of a certificate file."""
+    """Return an object as a line of a certificate file: compact JSON in bytes."""
     return json.dumps(content, separators=(",", ":")).encode() + b"\n"
 
 
 def _broken(rows: Sequence[Row], members: Iterable[Member], prices: Sequence[Fraction]) -> str:
-    """Return the message that names the row that no lottery satisfies, and the excess."""
+    """Return the message of a program without a lottery within the rows.
+
+    It names the row with the greatest price, and the least excess over it.
+    """
     k = max(range(len(rows)), key=prices.__getitem__)
     least = min(one.totals[1 + k] for one in members)
     return (f"no policy satisfies row {rows[k].name!r} exactly: {float(least)!r} is more than "
@@ -527,5 +591,5 @@ def _broken(rows: Sequence[Row], members: Iterable[Member], prices: Sequence[Fra
 
 
 def _of_few_digits(price: Fraction) -> Fraction:
-    """Return a price rounded down to few digits; any price >= 0 proves a bound."""
+    """Return a price rounded down to fewer digits, which is allowed: any price proves a bound."""
     return Fraction(math.floor(price * _PARTS), _PARTS)

@@ -2,8 +2,9 @@
 
 This module proves nothing; it interprets a question: which states are dead-ends, where a policy
 may give up, what failing costs, where waiting for ever is free, how totals are counted.
-``prove.py`` reads the resulting program and uses none of these terms. Numbers in parentheses are
-those of the definitions on the page on the format; ``program.columns()`` states the program.
+``prove.py`` reads the resulting program and uses none of these terms. "Definition 4"
+and so on refer to the documentation's page on the certificate format.
+``program.columns()`` yields the program's columns.
 """
 
 from array import array
@@ -26,7 +27,11 @@ COSTS = 63  # costs are fewer, so that a set of them fits a machine word
 
 
 class Action(NamedTuple):
-    """An action of a state: outcomes (a, y, t), of probability a / total and first cost t."""
+    """An action of a state.
+
+    An outcome (a, y, t) leads to state y with probability a / total; t is its cost, the first one
+    if the model has several.
+    """
 
     name: str
     total: int
@@ -35,7 +40,7 @@ class Action(NamedTuple):
 
 
 class State(NamedTuple):
-    """A state of the model: the sets that it belongs to, and its actions."""
+    """A state of the model: its name, the names of the sets that contain it, and its actions."""
 
     name: str
     sets: list[str]
@@ -43,7 +48,7 @@ class State(NamedTuple):
 
 
 def in_parts(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
-    """Return numbers as multiples of 1 / parts, and the least such number of parts."""
+    """Return whole numbers n and the least whole number p such that the given numbers are n / p."""
     parts = 1
     for denominator in {one.denominator for one in numbers}:
         parts = lcm(parts, denominator)
@@ -52,7 +57,7 @@ def in_parts(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
 
 
 class _Graph:
-    """Successors of each state's actions, which are numbered state by state."""
+    """The graph of a model: the successors of each action. Actions are numbered state by state."""
 
     def __init__(self, states: Iterable[State], sets: Iterable[str]) -> None:
         self.sets = {name: set[int]() for name in ("goal", "out of time", *sets)}
@@ -92,7 +97,10 @@ class _Graph:
         return steps
 
     def staying(self, states: set[int], allowed: Sequence[bool]) -> set[int]:
-        """Return the largest subset in which each state has no actions or an allowed one inside."""
+        """Return the largest subset of some states in which a run can stay for ever.
+
+        Each of its states has no actions, or an allowed action whose successors are in the subset.
+        """
         inside, stays, counts = set(states), list(allowed), [0] * self.size
         for k, x in enumerate(self.home):
             counts[x] += stays[k]
@@ -131,7 +139,7 @@ class _Quantity:
                 self.arrivals[x] += weight
 
     def mean(self, costs: Sequence[Fraction]) -> Fraction:
-        """Return the weighted sum of costs."""
+        """Return the weighted sum of an action's mean costs, [costs]."""
         return sum(map(mul, self.costs, costs), ZERO)
 
 
@@ -139,10 +147,10 @@ class Program:
     """The linear program of a question: nodes, rows, and the columns at each node.
 
     Args:
-        question: of a certificate; its `failure` is the interval of the allowed failure.
-        states: states of the model, from the first one at each call.
-        cap: total from which on totals are not distinguished.
-        lines: number of the proof's lines for nodes, which limits the work.
+        question: question of a certificate, with the interval of the allowed failure as `failure`.
+        states: returns the states of the model, from the first one at each call.
+        cap: total cost from which on totals are not distinguished.
+        lines: number of nodes for which the proof has a line; it limits the work.
     """
 
     def __init__(
@@ -168,13 +176,13 @@ class Program:
         self._charge(question["charge"], cap)
 
     def _count_steps(self, n: int, horizon: int) -> None:
-        """Distinguish states by the number of steps taken (definition 1)."""
+        """Replace each state by one copy for each number of steps taken (definition 1)."""
         most = SPARSE * (n + self.lines)
         need(n * (whole(horizon, most) + 1) <= most, "the horizon is too far for so few lines")
         needed, flat = self.graph.distances(self.graph.every), list(self.states())
 
         def states() -> Iterator[State]:
-            """Yield the states after each number of steps."""
+            """Yield all states at step 0, then all at step 1, and so on up to the horizon."""
             for h in range(horizon + 1):
                 for x, (name, sets, actions) in enumerate(flat):
                     late = ["out of time"] * (needed.get(x, 0) > horizon - h)
@@ -187,7 +195,7 @@ class Program:
         self.states, self.graph = states, _Graph(states(), self.graph.sets)
 
     def _ask(self) -> None:
-        """Read the objective and the rows, the first of which is failing (definition 3)."""
+        """Read the objective and the rows; row 0 limits the failure probability (definition 3)."""
         question, self.sign = self.question, -1 if self.question["greatest"] else 1
         known = whole(question["costs"], COSTS), self.graph, self.dead
         self.objective = _Quantity(question["objective"], self.sign, *known)
@@ -203,7 +211,7 @@ class Program:
             self.rows.append(Row(row["name"], bound, bound))
 
     def _decide(self, give_up: str) -> None:
-        """Determine the actions that count, where a policy may stop, failing's charges (4 to 7)."""
+        """Determine allowed actions, giving up, waiting and charges (definitions 4 to 7)."""
         graph, live, every = self.graph, self.live, range(self.graph.size)
         places = {"anywhere": live, "attention": live & self.attention, "dead_ends": set[int]()}
         need(give_up in places, "give_up is", give_up)
@@ -238,7 +246,11 @@ class Program:
                 q.arrivals[x] += q.mean(self.charges[x])
 
     def _charge(self, stated: list[Any], cap: str) -> None:
-        """Number the nodes: the beginning, states, the excess over the cap, totals below it (8)."""
+        """Read the charge of the total cost, and number the program's nodes (definition 8).
+
+        The nodes are, in this order: the beginning; the states at the cap; the states for the
+        excess over the cap, if the charge grows there; the states at each total below the cap.
+        """
         n, sides, sign = self.graph.size, [">=", ">"], self.sign
         steps = [((number(at), sides.index(side)), sign * number(value), sign * number(slope))
                  for side, at, value, slope in stated]  # fmt: skip
@@ -277,7 +289,7 @@ class Program:
         self.size += len(met)
 
     def charge(self, total: int) -> Fraction:
-        """Return the charge of reaching the goal with a total."""
+        """Return the charge of reaching the goal at a total, given in units."""
         exact = Fraction(total, self.unit)
         (at, _), value, slope = max(one for one in self.steps if one[0] <= (exact, 0))
         return value + slope * (exact - at)
@@ -299,7 +311,14 @@ class Program:
     def decisions(
         self, node: int, x: int, actions: list[Action], r: int | None
     ) -> Iterator[Column]:
-        """Yield a state's columns at a total (9), or of the excess over the cap (10; r is None)."""
+        """Yield the columns of a node (definitions 9 and 10).
+
+        Args:
+            node: number of the node.
+            x: its state.
+            actions: actions of the state.
+            r: its total in units; None: the node counts the excess over the cap.
+        """
         for k, action in enumerate(actions, self.graph.first[x]):
             if self.keeps[k]:
                 yield self.column(node, k, action, r)
@@ -313,7 +332,14 @@ class Program:
             yield Column(node, "wait", 1, [], tuple(counts))
 
     def column(self, node: int, k: int, action: Action, r: int | None) -> Column:
-        """Return the column of action k; the beginning is k = -1, without a discount."""
+        """Return the column of an action at a node.
+
+        Args:
+            node: number of the node.
+            k: number of the action; -1: the beginning, which is not discounted.
+            action: the action.
+            r: total in units; None: the node counts the excess over the cap.
+        """
         n, discount = self.graph.size, self.discount if k >= 0 else ONE
         if (fixed := self._fixed.get(k)) is None:
             share, counts = discount / action.total, [q.mean(action.costs) for q in self.each]

@@ -1,10 +1,10 @@
 """Bounds of a linear program by inequalities between whole numbers: nothing is solved or rounded.
 
-A program has nodes, and mass 1 starts in node 0. A column (i, D, a, c) takes mass out of node i,
-moves a_j / D of it to node j, and adds c_0 to the objective and c_k to row k. The program minimises
-the objective over x >= 0, one number for each column, such that at each node as much mass leaves as
-enters, and each row is at most its bound. A bound is given as an interval [least, most] that
-contains it. Numbers of a proof are whole multiples of 1 / ``unit``.
+A program has nodes, and mass 1 starts in node 0. A column (i, D, a, c) takes mass out of node i and
+moves a_j / D of it to each node j; per unit of mass it adds c_0 to the objective and c_k to row k.
+The program minimises the objective over x >= 0, one number for each column, such that at each node
+as much mass leaves as enters, and each row is at most its bound. A bound is given as an interval
+[least, most] that contains it. Numbers of a proof are whole multiples of 1 / ``unit``.
 
 Lower bound: the proof has prices p >= 0 and a value v at some nodes, node 0 included. The columns
 of these nodes lead only to these nodes. Every x has objective + sum p_k row_k >= v_0 (weak duality)
@@ -43,11 +43,14 @@ Counts = tuple[Fraction, ...]
 
 
 class RefusedError(Exception):
-    """A file's claim does not follow; the text names the inequality that fails, and where."""
+    """Error: the claim of a file does not follow. The text names the inequality that fails."""
 
 
 class Column(NamedTuple):
-    """A decision at a node: successors (a, j) of weight a / total each, and quantities."""
+    """A decision at a node, and where it leads.
+
+    A move (a, j) takes the share a / total of the mass to node j.
+    """
 
     node: int
     name: str
@@ -57,7 +60,7 @@ class Column(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A limit whose bound is known to lie between two numbers."""
+    """A row of a program, whose bound is known to lie between two numbers."""
 
     name: str
     least: Fraction
@@ -66,7 +69,10 @@ class Row(NamedTuple):
 
 @dataclass
 class Member:
-    """A policy of the lottery: its decision, t, and u of each quantity, by node."""
+    """A policy of the lottery, with the numbers of its proof.
+
+    For each node it has the position of the column that is taken, t, and u of each quantity.
+    """
 
     decision: dict[int, int] = field(default_factory=dict)
     t: dict[int, int] = field(default_factory=dict)
@@ -75,7 +81,7 @@ class Member:
 
 @dataclass
 class Proof:
-    """The numbers of a proof; numbers of nodes are multiples of 1 / unit."""
+    """The numbers of a proof; those that belong to nodes, v and u, are in units of 1 / unit."""
 
     unit: int
     prices: list[Fraction]
@@ -86,7 +92,7 @@ class Proof:
 
 
 class Bounds(NamedTuple):
-    """The interval that contains the optimum, and the lottery's excess over rows."""
+    """An interval that contains the optimum, and the excess of the lottery over rows, by name."""
 
     lower: Fraction
     upper: Fraction
@@ -101,7 +107,7 @@ def need(holds: bool, *words: object) -> None:
 
 @lru_cache(1 << 16)
 def number(text: Any) -> Fraction:
-    """Return the number that a text states, a decimal or a fraction."""
+    """Return the exact value of a text that has a decimal or a fraction."""
     need(isinstance(text, str) and len(text) < DIGITS, "no text of a number:", repr(text)[:99])
     need(NUMBER.fullmatch(text) is not None, "no decimal and no fraction:", repr(text)[:99])
     return Fraction(text)
@@ -115,7 +121,13 @@ def whole(value: Any, below: int) -> int:
 
 
 def check_node(columns: list[Column], proof: Proof, price: Callable[[Counts], Fraction]) -> None:
-    """Check the inequalities of one node's columns."""
+    """Check the inequalities of the columns of one node; raise RefusedError if one fails.
+
+    Args:
+        columns: all columns of the node.
+        proof: the numbers of the proof.
+        price: counts -> cost of a column at the proof's prices.
+    """
     node, unit = columns[0].node, proof.unit
     if node in proof.v:
         for _, name, total, moves, counts in columns:
@@ -147,7 +159,7 @@ def prove(
         columns: columns of the program, node by node.
         constant: constant term of the objective.
         rows: rows of the program; for a ratio, the divisor is 1 - row 0.
-        follows: node -> node at which a member must decide alike.
+        follows: node -> another node, at which a member must take the column of equal position.
         proof: the numbers of the proof.
 
     Raises:

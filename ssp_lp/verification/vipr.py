@@ -1,11 +1,12 @@
 """Lower bounds of certificates in the VIPR format 1.1, which `viprchk` verifies.
 
 The file states the certificate's last program. Variables are the columns x >= 0; constraints are a
-flow balance for each node, and the rows. The bound is a linear combination of the constraints: v of
-each node, minus the price of each row, plus the slack of each column's inequality. For a ratio the
-program minimises N + r F, since N + r F >= r says that the ratio is at least r. The format is that
-of
-Cheung, Gleixner and Steffy, "Verifying Integer Programming Results", IPCO 2017.
+flow balance for each node, and the rows. The bound is a linear combination of the constraints. The
+multipliers are v for the balance of each node, minus the price for each row, and the slack of the
+column's inequality for each x >= 0. If the objective is a ratio N / (1 - F) of cost and goal
+probability, the program minimises N + r F, since N + r F >= r says that the ratio is at least r.
+The format is that of Cheung, Gleixner and Steffy, "Verifying Integer Programming Results", IPCO
+2017.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ def to_vipr(solution: Solution, path: str | Path) -> Fraction:
         path: path of the file, which is plain text; ``viprchk FILE`` verifies it.
 
     Returns:
-        The bound that the file proves: a lower bound of the objective; for a maximisation problem
-        minus the upper bound; for a ratio a lower bound of N + r F, which is at least r.
+        The bound that the file proves. It is a lower bound of the objective; for a maximisation
+        problem, minus the upper bound; for a ratio, a lower bound of N + r F, which is at least r.
 
     Raises:
         ModelError: the criterion is not covered.

@@ -339,8 +339,8 @@ def test_the_slopes_of_a_curve_are_one_sided_derivatives():
     slopes = [np.diff(line.get_ydata())[0] / np.diff(line.get_xdata())[0] for line in tangents]
     assert slopes == pytest.approx([0.0, 0.0, 0.0, 10.0, 2.5, 2.5], abs=1e-6)
     plt.close("all")
-    refused("two solutions", plot_parameter, solutions[:1], "crash")
-    refused("two solutions", plot_parameter, [*solutions, 3], "fuel")
+    refused("two or more models", plot_parameter, solutions[:1], "crash")
+    refused("two or more models", plot_parameter, [*solutions, 3], "fuel")
 
 
 def test_what_no_run_visits_has_no_value_until_it_is_visited():

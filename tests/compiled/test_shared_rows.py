@@ -50,7 +50,7 @@ def repeating_model(rng, states=200, kinds=7):
 def sharing(monkeypatch, accelerate):
     """Let rows share their numbers in small models too."""
     monkeypatch.setattr(module, "_WORTH_SHARING", 0)
-    monkeypatch.setattr(module, "_MOST_NUMBERS", 512)
+    monkeypatch.setattr(module, "MOST_CACHED", 512)
     accelerate(True)
 
 
@@ -102,9 +102,9 @@ def test_rows_that_hardly_repeat_are_written_out(monkeypatch):
     model = repeating_model(np.random.default_rng(1))
     every, pairs = np.arange(201, dtype=np.int32), np.arange(400, dtype=np.int32)
     rows = RowChoice(model, every, 201, pairs)
-    monkeypatch.setattr(module, "_MOST_NUMBERS", 8)
+    monkeypatch.setattr(module, "MOST_CACHED", 8)
     assert isinstance(shared_live_rows(rows), sp.csr_array)
-    monkeypatch.setattr(module, "_MOST_NUMBERS", 512)
+    monkeypatch.setattr(module, "MOST_CACHED", 512)
     monkeypatch.setattr(module, "_TIMES_SHARED", 1_000)
     assert isinstance(shared_live_rows(rows), sp.csr_array)
 

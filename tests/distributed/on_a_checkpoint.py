@@ -52,9 +52,9 @@ if __name__ == "__main__":
             assert answer.objective == pytest.approx(known.objective, rel=1e-9)
             assert answer.gap <= 1e-9
         refused = {"start": start, "failure_budget": 0.8, "checkpoint": path}
-        with pytest.raises(ModelError, match=r"the checkpoint .* is of .*MCMP"):
+        with pytest.raises(ModelError, match=r"the checkpoint is of .*MCMP.*: name another"):
             made.solve(MCMP, **refused)
-        with pytest.raises(ModelError, match="must be a folder in an existing folder"):
+        with pytest.raises(ModelError, match="must be a folder, and its parent must exist"):
             made.solve(MCMP, **asked, checkpoint=path / "nowhere" / "else")
     elif doing == "saves":
         made.solve(MCMP, **asked).policy.save(path)

@@ -145,10 +145,10 @@ def check_errors():
         made.solve(MCMP, start=start, failure_budget=0.05, constraints=limits)
     assert caught.value.conflicting_rows == ("few",)
     for criterion, asked, why in (
-        (S3P, {"failure_budget": 0.05}, "S3P counts the total cost .* model held whole"),
+        (S3P, {"failure_budget": 0.05}, "S3P counts the total cost .* the whole model"),
         (MinCost, {}, "MinCost needs the whole graph"),
-        (MCMP, {"failure_budget": 0.05, "horizon": 3}, "no horizon"),
-        (MCMP, {"reach_fraction": 0.9}, "no reach_fraction"),
+        (MCMP, {"failure_budget": 0.05, "horizon": 3}, "neither horizon"),
+        (MCMP, {"reach_fraction": 0.9}, "nor reach_fraction"),
     ):
         with pytest.raises(ModelError, match=why):
             made.solve(criterion, start=start, **asked)

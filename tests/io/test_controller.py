@@ -530,5 +530,5 @@ def test_what_a_header_cannot_hold(tmp_path: Path) -> None:
     ):
         with pytest.raises(ModelError, match=words):
             write_c_header(policy, tmp_path / "policy.h")
-    with pytest.raises(ModelError, match="name in C"):
+    with pytest.raises(ModelError, match="identifier in C"):
         write_c_header(policies(hall())["mixed"], tmp_path / "policy.h", name="1st")

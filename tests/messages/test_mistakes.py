@@ -518,7 +518,7 @@ SLIPS = [
     ("read_any(None, ['g'])", "path must be a string or a Path, not None"),
     ("write_umb(None, 'm', start='a')", "model must be an SSP, not None"),
     ("from_matrices(3, 1, costs=[1, 1])", "transitions must be"),
-    ("from_matrices([np.eye(2)], 1, costs='x')", "costs or rewards are no numbers: 'x'"),
+    ("from_matrices([np.eye(2)], 1, costs='x')", "costs or rewards must be numbers, not 'x'"),
     ("from_gymnasium('FrozenLake-v1')", "an environment is needed, such as"),
     ("rollout(None, S.policy, episodes=3, seed=0)", "has no environment"),
     (

@@ -365,7 +365,7 @@ def test_errors_stand_in_their_places() -> None:
     ]
     found = solve_many(problems, executor=AtOnce())
     assert {k: type(error) for k, error in found.errors.items()} == {1: ModelError, 2: SolverError}
-    assert "cannot be sent to another process" in str(found[1])
+    assert "cannot be pickled" in str(found[1])
     assert "ZeroDivisionError: division by zero" in str(found[2])
     game = solve_many([problems[0]], "game", executor=AtOnce())
     assert isinstance(game[0], ModelError)

@@ -121,7 +121,7 @@ def test_the_lattice_of_costs_is_exact(first, second, layers):
 @pytest.mark.parametrize(
     ("changed", "complaint"),
     [
-        ({"goal_states": [False, True]}, "no mask"),
+        ({"goal_states": [False, True]}, "not a mask"),
         ({"goal_states": [5]}, "indices of states"),
         ({"states": ["a", "a"]}, "several states"),
         ({"actions": ["x", "x"]}, "twice"),

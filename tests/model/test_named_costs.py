@@ -187,13 +187,13 @@ def test_the_command_line_converts_all_and_limits_by_name(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("table", "cost", "complaint"),
     [
-        ({"t": 1, "u": 2}, None, r"say which cost counts \(cost\): 't', 'u'"),
+        ({"t": 1, "u": 2}, None, r"choose the cost to minimise \(cost\): 't', 'u'"),
         ({"t": 1, "u": 2}, "v", "not 'v'"),
         ({"t": 1, "u": -1}, "t", "a negative cost 'u'"),
         ({"t": 1, "u": float("nan")}, "t", "a cost 'u' that is NaN"),
         ({"t": 1, "u": float("inf")}, "t", "an infinite cost 'u'"),
         ({"t": 1, "u": "2"}, "t", "a cost that is not a number: '2'"),
-        (1.0, "t", "no names"),
+        (1.0, "t", "give each cost a name"),
         ({}, None, "no costs"),
     ],
 )

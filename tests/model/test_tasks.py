@@ -150,7 +150,7 @@ def test_a_task_as_the_goal():
     out = reach(HOUSE, task("F key & F door"), start=["hall"])
     assert solve(MaxProb(out, out.start("hall"))).objective == pytest.approx(0.9)
     assert out.states[int(out.state_labels["goal not accepted"][0])][0] == "out"
-    with pytest.warns(ModelWarning, match="satisfied at the start 'hall' already"):
+    with pytest.warns(ModelWarning, match="the start 'hall' satisfies"):
         reach(HOUSE, task("G !key"), start=["hall"])
     refused("no run from the start satisfies", reach, HOUSE, task("false"), start=["hall"])
     refused("reach takes task", reach, HOUSE, "F key", start=["hall"])
@@ -171,11 +171,11 @@ def test_the_automaton_prints_and_draws():
     [
         ("F key &", "a name, a bracket, or one of", 7),
         ("F (key", "expected a closing bracket", 6),
-        ("key @ door", "no sign or name", 4),
+        ("key @ door", "not a name or an operator", 4),
         ("F key) & door", "an operator", 5),
         ("", "a name, a bracket, or one of", 0),
         ("key & U door", "a name, a bracket, or one of", 6),
-        ('F "key', "no sign or name", 2),
+        ('F "key', "not a name or an operator", 2),
     ],
 )
 def test_a_caret_shows_where_the_text_is_no_formula(text, told, column):
@@ -187,7 +187,7 @@ def test_names_are_labels_or_actions():
     refused("neither a label of states nor an action; did you mean 'key'", _automaton, "F kay")
     refused("it is a state: give it a label", _automaton, "F attic")
     both = SSP.from_transitions({"a": {"go": [(1.0, "b", 1.0)]}}, {"b"}, state_labels={"go": ["a"]})
-    refused("'go' is both a label of states and an action", task("F go").automaton, both)
+    refused("'go' is a state label and an action: rename one", task("F go").automaton, both)
     refused("holds takes a task", holds, "F key")
 
 

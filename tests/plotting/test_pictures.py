@@ -151,7 +151,7 @@ def test_a_memory_is_added_up_or_left_out():
     later = plotted(made, lambda label: CELLS(label[0]) if label[1] else None)
     assert len(arrows(whole)) == len(arrows(later)) + 1
     refused("no state has a point", plotted, made, {})
-    refused("must lie at a point", plotted, made, lambda label: (1, 2, 3))
+    refused("the point of .* must be", plotted, made, lambda label: (1, 2, 3))
 
 
 def test_a_cell_is_a_dead_end_where_all_its_states_are():

@@ -164,7 +164,7 @@ def test_a_world_of_the_users_own():
     assert report.conditional_cost.value == 2.0
     assert [len(path) for path in report.paths] == [3, 3, 3]
     assert simulate(GO, PROBLEM, max_steps=1, **asked).ends["unfinished"] == 10
-    with pytest.raises(ModelError, match="left the model"):
+    with pytest.raises(ModelError, match="returned a state outside"):
         simulate(GO, PROBLEM, seed=0, simulator=Broken())
 
 

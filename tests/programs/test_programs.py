@@ -213,14 +213,12 @@ def test_visits_that_no_policy_comes_to_keep_no_row(monkeypatch):
     model = written("s go: g 1\n a round: b 0\n a out: g 1\n b round: a 0")
     convex = MCMP(model, "s", 0.5).program().to_cvxpy()
     convex.constraints["often"] = convex.visits("a", "round") >= 1.0
-    with pytest.raises(SolverError, match="'often' is attained only with visits that circulate"):
+    with pytest.raises(SolverError, match="'often' is attained only by visits that circulate"):
         convex.solve(solver=cp.CLARABEL)
     del convex.constraints["often"]
     convex.objective = convex.objective - cp.sqrt(convex.visits("a", "round"))
     convex.constraints["seldom"] = convex.visits("a") <= 4.0
-    with pytest.raises(
-        SolverError, match="the objective's value is attained only with visits that"
-    ):
+    with pytest.raises(SolverError, match="the objective's value is attained only by visits that"):
         convex.solve(solver=cp.CLARABEL)
 
 

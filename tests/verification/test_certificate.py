@@ -162,7 +162,7 @@ def test_a_law_that_is_too_long_is_bounded_by_its_moments(problem, monkeypatch):
     """Then the certified value is no better than the exact one, and its bound holds."""
 
     def too_large(*given):
-        raise ModelError("the law of success costs takes too large a table")
+        raise ModelError("the distribution of success costs takes too large a table")
 
     solution = solve(problem)
     exact = certify(solution)

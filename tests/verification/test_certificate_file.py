@@ -313,8 +313,8 @@ def test_a_proof_is_better_than_a_solution_that_was_cut_short(tmp_path):
     ("solution", "words"),
     [
         (MCMP(ROAD, "road", reach_fraction=0.9, discount=0.99), "MCMP with reach_fraction"),
-        (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: it asks for a tail mean: certify"),
-        (few("crash"), "MCMP: it counts quantities after failing: certify"),
+        (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: it asks for a tail mean; certify"),
+        (few("crash"), "MCMP: it counts quantities after failing; certify"),
     ],
 )
 def test_what_is_not_covered_is_named(solution, words, tmp_path):
@@ -368,7 +368,7 @@ def test_the_command_line(tmp_path, capsys):
     assert main([*asked, "0.06"]) == 1
     assert "the file answers another question" in capsys.readouterr().err
     assert main(["check", str(path), "--failure-budget", "0.05"]) == 2
-    assert "give --model" in capsys.readouterr().err
+    assert "add --model" in capsys.readouterr().err
     path.write_bytes(gzip.compress(b"\n".join([*lines_of(path)[:-1], b""])))
     assert main(["check", str(path)]) == 1
     assert "is refused: the file ends within a proof" in capsys.readouterr().err

@@ -444,7 +444,7 @@ def test_the_one_outside_of_the_majority_is_named():
     all_apart = compared(stated(8.0, low=6.0), stated(9.0, low=8.0), stated(7.0, low=6.0))
     assert all_apart.disagreeing == ("a", "b", "c")
     assert "exceeds the 7 that the policy of c attains" in all_apart.remarks[1]
-    assert "no other method has its c*" in all_apart.remarks[0]
+    assert "no other method finds its c*" in all_apart.remarks[0]
 
 
 def test_a_policy_beyond_the_budget_is_named_before_all_else():

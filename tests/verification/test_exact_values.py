@@ -164,7 +164,7 @@ def test_the_nodes_of_a_free_cycle_have_one_value():
 
 def test_what_no_policy_leaves_has_no_values(monkeypatch):
     ways = [_Way(0, 1, [(1, 0)], ONE)]
-    refused("some states cannot be left", near_choice, ways, _dynamics_of(ways, 1),
+    refused("from some states no run can end", near_choice, ways, _dynamics_of(ways, 1),
             error=SolverError)  # fmt: skip
     ways = drawn(3)
     monkeypatch.setattr(exact_proof, "_IMPROVEMENTS", 0)
@@ -217,7 +217,7 @@ def test_a_policy_that_stops_where_it_may_not(problem, decision):
     pair = -1 if decision is None else int(STAYS.pair_offsets[where])
     forged = DeterministicPolicy(STAYS, np.where(np.arange(STAYS.n_states) == where, pair, -1))
     forged = replace(honest, policy=MixedPolicy((forged,), np.ones(1)))
-    words = "the answer is not proved: a policy stops where it may not"
+    words = "the answer is not proved: a policy gives up where it may not"
     refused(words, certificate_of, forged, error=SolverError)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -239,8 +240,12 @@ def test_a_utility_that_is_not_used_up_has_as_many_steps_as_it_needs(steps, tmp_
         ([1e-3, 2e-3, 1e-7], 0), ([1e-11, 1e-20], 0), ([0.5**k for k in range(20)], 11),
     ],
 )  # fmt: skip
-def test_caps_are_doubled_until_the_interval_is_narrow(widths, best, monkeypatch):
-    """Up to 1e-10 of 1 + the optimum, while each is a tenth narrower; the narrowest is kept."""
+def test_caps_rise_until_the_interval_is_narrow(widths, best, monkeypatch):
+    """Up to 1e-10 of 1 + the optimum, while each is a tenth narrower; the narrowest is kept.
+
+    The second cap is twice the first; from then on the rate of the width's fall, as of a geometric
+    series, says how far the next one goes, at most fourfold.
+    """
     caps, programs = [], iter(widths)
     solution = solve(S3P(ROAD, "road", 0.05))
     monkeypatch.setattr(files, "_first_cap", lambda asked, solved: Fraction(3))
@@ -260,7 +265,10 @@ def test_caps_are_doubled_until_the_interval_is_narrow(widths, best, monkeypatch
     lines, bounds = files._best_proof(asked, statement, solution, "main")
     assert lines == [b"proof %d" % best]
     assert float(bounds.upper - 9) == pytest.approx(10 * widths[best])
-    assert caps == [3 * 2**k for k in range(len(caps))]
+    assert caps[:2] == [3, 6][: len(caps)]
+    if len(caps) > 2:  # 1e-3 at 3, 1e-5 at 6: 1e-12 would be reached at 16.5
+        assert caps[2] == (17 if widths[1] == 1e-5 else 24)
+    assert all(one < other <= 4 * one + 1 for one, other in pairwise(caps))
     assert len(caps) <= 12
 
 
@@ -347,9 +355,10 @@ def test_policies_that_no_certificate_follows(tmp_path):
     one, other = honest.policy.policies
     timed = TimedPolicy((one, other))
     drawing = StochasticPolicy.from_actions(FIRST, {"depot": {"alley": 0.5, "road": 0.5}})
-    for policy, words in ((timed, "remembers more than the cost"), (drawing, "draws its actions")):
+    words = "remembers more than the total cost", "draws its actions"
+    for policy, word in zip((timed, drawing), words, strict=True):
         forged = replace(honest, policy=MixedPolicy((policy,), np.ones(1)))
-        refused(f"no certificate of a policy that {words}", files.certificate_of, forged)
+        refused(f"no certificate file of a policy that {word}", files.certificate_of, forged)
 
 
 def test_the_digest_is_that_of_question_and_model(tmp_path):

@@ -133,7 +133,7 @@ def ring(states: int, *, leak: float = _LEAK) -> SSP:
 def holes(side: int, *, slip: float = 0.2, share: float = 0.07, seed: int = _SEED) -> SSP:
     """Return a square with four moves that slip to either side, and holes; its corners are free.
 
-    Far from the start least failure is tiny: away from the holes only slips lead into them.
+    A careful robot enters a hole only by slips, so the least failure probability is tiny.
     """
     rng, n = np.random.default_rng(seed), side * side
     x, y = np.arange(n) % side, np.arange(n) // side
@@ -170,9 +170,10 @@ def headings(side: int, *, directions: int = 8, seed: int = _SEED) -> SSP:
 
 
 def racetrack(side: int, *, speed: int = 3, slip: float = 0.1, seed: int = _SEED) -> SSP:
-    """Return a car on a square whose velocity changes by one at most, and may fail to, and walls.
+    """Return a car on a square with walls; a step changes its velocity by at most one each way.
 
-    A car that leaves the square or ends a step in a wall is lost; the goal is the last corner.
+    With probability ``slip`` the velocity does not change. A car that leaves the square or ends a
+    step in a wall is lost; the goal is the last corner.
     """
     rng, cells, width = np.random.default_rng(seed), side * side, 2 * speed + 1
     is_wall = rng.random(cells) < 0.05
@@ -228,9 +229,9 @@ def tandem(capacity: int, *, arriving: float = 0.22) -> SSP:
 
 
 def inventory(capacity: int, days: int) -> SSP:
-    """Return a season of daily orders against a demand that is not known: no cycles.
+    """Return a season of daily orders against a random demand: no cycles.
 
-    Orders and stock cost; a demand that is not met ends the season in the trap by 1 in 20.
+    Orders and stock cost; an unmet demand ends the season in the trap with probability 1/20.
     """
     levels = capacity + 1
     day, stock = np.divmod(np.arange(levels * days), levels)
@@ -253,8 +254,8 @@ def inventory(capacity: int, days: int) -> SSP:
 def sysadmin(machines: int) -> SSP:
     """Return a ring of machines of which one is rebooted a step, until all work at once.
 
-    Machines fail the likelier the fewer of their neighbours work; where none works all is lost.
-    Every other one works at the start.
+    The fewer of a machine's neighbours work, the likelier it fails. If none works, all is lost.
+    At the start every other machine works.
     """
     bits, every = 1 << np.arange(machines), (1 << machines) - 1
     up = _begun_at(np.arange(1, every), int(bits[::2].sum()))
@@ -274,9 +275,10 @@ def sysadmin(machines: int) -> SSP:
 
 
 def factored(variables: int, *, seed: int = _SEED) -> SSP:
-    """Return a random domain of truth values, to be made all true by actions that set one each.
+    """Return a random domain of truth values; each action sets one, the goal is that all are true.
 
-    How likely an action works hangs on two other values; where both are false it may be the last.
+    An action works with a probability that depends on two other values. If both are false, it may
+    lead to the trap.
     """
     rng, n = np.random.default_rng(seed), (1 << variables) - 1
     here, actions = np.arange(n), variables + 2
@@ -298,8 +300,8 @@ def factored(variables: int, *, seed: int = _SEED) -> SSP:
 def blocks(count: int) -> SSP:
     """Return exploding blocks: one tower to be rebuilt upside down.
 
-    A block that is put down explodes by 1 in 10 (on the table by 1 in 25) unless it was defused,
-    which takes time; what it destroys cannot be built with any more.
+    A block that is put down explodes with probability 1/10 (on the table 1/25), which ends the run
+    in the trap. Defusing it before takes time.
     """
     start, goal = (((*range(count),),), 0), (((*reversed(range(count)),),), 0)
 
@@ -406,7 +408,7 @@ def _cell(name: np.ndarray, side: int, x: np.ndarray, y: np.ndarray) -> np.ndarr
 
 
 def _begun_at(names: np.ndarray, start: int) -> np.ndarray:
-    """Return names in a row, turned round so that the start comes first."""
+    """Return an array of names, rotated so that the start comes first."""
     return np.roll(names, -int(np.flatnonzero(names == start)[0]))
 
 

@@ -35,7 +35,7 @@ class ReadyInstance:
     start: Hashable
 
     def problem(self) -> MCMP | S3P | MaxProb | MinCost:
-        """Return the problem on a copy of the model that remembers nothing of earlier calls."""
+        """Return the problem on a copy of the model without results cached by earlier calls."""
         asked, model = self.instance, replace(self.model)
         if asked.case in "PC":
             return (MaxProb if asked.case == "P" else MinCost)(model, self.start)

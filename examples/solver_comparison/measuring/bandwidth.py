@@ -90,7 +90,7 @@ def _best_seconds(action: Callable[[], object]) -> float:
 
 
 def main(arguments: list[str]) -> None:
-    """Measure both and report."""
+    """Measure and report the memory's bandwidth and a sweep's."""
     report = Report(Path(arguments[1]))
     report.say(read=read_bandwidth())
     ready = build(parse_instance(arguments[0]))

@@ -77,7 +77,7 @@ def _run(solver: Solver, order: Order, report: Report) -> None:
 
 
 def _repeat(prepared: Prepared, order: Order, report: Report) -> Answer:
-    """Call up to as often as ordered; report each time, so that nothing is lost."""
+    """Call the solver at most ``order.repeat`` times; report after each call, to lose nothing."""
     best = math.inf
     for number in range(max(order.repeat, 1)):
         answer, seconds = _timed(prepared.call)

@@ -30,7 +30,7 @@ class Work:
 
 
 def work_of(run: SolverRun) -> Work | None:
-    """Return the work of a solved run; None if it is not reported, or the graph decided all."""
+    """Return the work of a solved run; None if it is not reported, or no sweep was needed."""
     if run.outcome is not Outcome.SOLVED or not (run.backups or run.products):
         return None
     if not (run.seconds and run.transitions and run.pairs and run.states):

@@ -32,7 +32,7 @@ def page_text(machine: dict[str, Any], runs: Sequence[SolverRun]) -> str:
 
 
 def put_on_page(page: Path, text: str) -> None:
-    """Replace what stands between the two marks of a page.
+    """Replace the text between the two marks of a page.
 
     Raises:
         ValueError: the page has no such marks.

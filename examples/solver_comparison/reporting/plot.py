@@ -83,7 +83,7 @@ def _draw_limit(axes: Axes, runs: Sequence[SolverRun]) -> None:
 
 
 def _draw_solver(axes: Axes, own: Sequence[SolverRun], members: Sequence[SolverRun]) -> None:
-    """Draw a solver's line: dashed to where it was not done, with a hollow marker there."""
+    """Draw a solver's line, dashed to a hollow marker where the time ran out."""
     colour, marker = STYLES.get(own[0].solver, _FALLBACK)
     points = [
         (_place(run, members), _height(run), run.outcome is Outcome.TIME_OUT)

@@ -65,7 +65,7 @@ def _answer(solver: highspy.Highs, program: LinearProgram) -> Answer:
 
 
 def excess_failure(program: LinearProgram, x: np.ndarray) -> float:
-    """Return the excess of a point's failure over the budget; case S is scaled by t."""
+    """Return by how much a solution's failure exceeds the budget; in case S divided by t."""
     row = program.rows["failure"]
     over = float((program.matrix[row] @ x - program.upper[row])[0])
     scale = float(x[-1]) if "normaliser" in program.rows else 1.0

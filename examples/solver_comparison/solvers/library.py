@@ -15,8 +15,8 @@ from ssp_lp.compiled.accelerator import has_accelerator
 def prepare(ready: ReadyInstance, order: Order, *, method: str, backend: str | None) -> Prepared:
     """Prepare to solve an instance with a method.
 
-    The first call compiles inner loops if numba is installed, so that column generation solves a
-    small instance first; the other methods use it at their end.
+    If numba is installed, the first call compiles inner loops. So a small instance is first solved
+    by column generation, with which the other methods end.
     """
     failure_budget = ready.instance.failure_budget
 

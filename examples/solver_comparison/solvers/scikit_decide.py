@@ -147,7 +147,7 @@ class WrittenOut(
 
 
 class Listed(EnumerableSpace):
-    """A space of these actions."""
+    """A finite space of actions, in the form that scikit-decide asks for."""
 
     def __init__(self, actions: Any) -> None:
         self.actions = list(actions)
@@ -157,5 +157,5 @@ class Listed(EnumerableSpace):
         return self.actions
 
     def contains(self, x: int) -> bool:
-        """Return whether this is one of the actions."""
+        """Return whether a number is one of the actions."""
         return x in self.actions

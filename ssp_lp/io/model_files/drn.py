@@ -31,8 +31,8 @@ _SECTIONS = {
     "@nr_states": _NUMBER,
     "@nr_choices": _NUMBER,
 }  # fmt: skip
-"""Pattern of the content of each section of the header, and the error otherwise; the content of the
-last four is on a line of its own."""
+"""Section of the header -> pattern of its content, and error for other content. The content of the
+last four sections is on a line of its own."""
 
 _LONGEST_LINE = 1 << 24  # characters
 _WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)  # of 64 bits
@@ -54,8 +54,8 @@ def read_drn(
     Args:
         path: the file; its type is MDP or DTMC, its probabilities and rewards are numbers.
         goal: the label of the goal states.
-        cost: name of a reward model, "" for Storm's without a name; None: the only one, or 1 for
-            each action if there is none.
+        cost: name of the reward model that is the cost ("" for one without a name); None: the only
+            one, or a cost of 1 for each action if the file has none.
         dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
             Any other state without actions that is not a goal is then an error.
 
@@ -63,7 +63,7 @@ def read_drn(
         The model, whose states are the numbers of the file, and its initial states.
 
     Raises:
-        ModelError: naming the file and the line, or the state and the action.
+        ModelError: the model is not valid; the error names the line, or the state and the action.
         OSError: the file cannot be opened.
     """
     file = _DrnFile(Path(path))
@@ -74,8 +74,8 @@ def _sections_of(file: _DrnFile, lines: Iterator[str]) -> dict[str, str]:
     """Return the sections of a DRN file up to the line ``@model``, by name.
 
     Raises:
-        ModelError: naming the line: a section that is unknown, repeated or missing, or a model of
-            another type, with parameters or with intervals.
+        ModelError: a section is unknown, repeated or missing, or the model has another type,
+            parameters or intervals; the error names the line.
     """
     sections: dict[str, str] = {}
     for line in lines:
@@ -151,7 +151,7 @@ class _DrnFile:
         """Add a line of a state, an action or a transition.
 
         Raises:
-            ModelError: naming the line at fault.
+            ModelError: the line is wrong; the error names it.
         """
         if line[:1].isdigit():
             if not self.is_action or not self.is_action[-1]:
@@ -204,7 +204,7 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
     """Read the header of a DRN file, then its states, actions and transitions.
 
     Raises:
-        ModelError: naming the wrong line, or the missing cost.
+        ModelError: the error names the wrong line, or the missing cost.
     """
     lines = file.lines()
     header = _sections_of(file, lines)
@@ -244,13 +244,15 @@ def _raw_model(file: _DrnFile, cost: str | None) -> RawModel:
 def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """Write a model as a DRN file for Storm, packed if the name ends in .gz or .xz.
 
-    State k of the file is the k-th of ``model.states``. Each cost is an action reward, the model's
-    own first, called "cost" if it has no name. If outcomes of an action differ in cost, the action
-    pays the least, and a more expensive outcome leads through a state labelled "paying" that pays
-    the rest: each run keeps its total, and our readers remove the state again. (In other tools, a
-    quantity counted up to a failure may lack the rest of the step that fails.) Goal states are
-    labelled "goal", dead-ends "deadlock", the start "init"; goal states and dead-ends get a free
-    loop.
+    State k of the file is the k-th of ``model.states``. Each cost is written as an action reward,
+    the model's own first, called "cost" if it has no name. Goal states are labelled "goal",
+    dead-ends "deadlock", the start "init"; goal states and dead-ends get a loop of cost 0.
+
+    DRN has one reward for each action. If outcomes of an action differ in cost, the action pays the
+    least of them, and a more expensive outcome leads through an extra state labelled "paying",
+    which pays the rest. The total cost of a run is unchanged, and the readers of this library
+    remove these states. (In other tools, a quantity counted up to a failure may lack the rest of
+    the step that fails.)
 
     Args:
         model: the model.

@@ -1,4 +1,4 @@
-"""Models in JSON files: tables by name, and choices of numbered states."""
+"""Models in JSON files: transitions by names of states, or lists of choices by state number."""
 
 from __future__ import annotations
 
@@ -44,21 +44,24 @@ def parse_json(
     cost: str | None = None,
     dead_ends: DeadEnds | None = None,
 ) -> StatedModel:
-    """Return the model in a JSON text: a table by name, or choices of numbered states.
+    """Return the model in a JSON text.
 
-    In a table names are strings, a cost is a number or ``{name: number}``, and a number may be a
-    fraction as a string, "1/3".
+    The text is a table ``{state: {action: [[probability, successor, cost], ...]}}``, alone or as
+    "transitions" beside "goal", "start", "labels" and "dead_ends". Names are strings, a cost is a
+    number or ``{name: number}``, and a number may be a fraction as a string, "1/3". A text with
+    the "format" "explicit-mdp-v1" instead lists the choices of each state, by number.
 
     Args:
         text: the JSON.
         source: name of the text in errors.
-        goal: names of the goal states, or of a label of them; empty: those in the text.
+        goal: names of the goal states, or labels of sets of states; empty: the text's "goal".
         cost: name of the cost; None: the only one.
         dead_ends: states from which no action reaches the goal, labels of them, or a predicate;
-            None: those in the text ("dead_ends"), if it has them and the same goal.
+            None: the text's "dead_ends", unless ``goal`` differs from the text's "goal".
 
     Raises:
-        ModelError: no such table, a repeated name, no goal, or one that does not occur.
+        ModelError: the text has another form, repeats a name, has no goal, or has a goal that is
+            no state.
     """
     try:
         table = json.loads(text, object_pairs_hook=_without_repetition)
@@ -78,7 +81,7 @@ def parse_json(
 def _explicit_json(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> dict[str, Any]:
-    """Return a file of choices of numbered states as a document of transitions by name."""
+    """Convert a file that lists choices by the number of the state to transitions by name."""
     if not str(table["format"]).startswith(_EXPLICIT):
         raise ModelError(f"{source}: the format {table['format'][:40]!r} is unknown")
     try:
@@ -201,7 +204,7 @@ def _stated_model(
 def _json_outcome(
     where: str, outcome: Any, cost: str | None, counted: set[str]
 ) -> tuple[Any, Hashable, Any]:
-    """Return a checked outcome, and add the name of the cost that counts to ``counted``."""
+    """Check and return an outcome; add the name of the cost to be minimised to ``counted``."""
     fits = isinstance(outcome, list) and len(outcome) == 3
     if not fits or not isinstance(outcome[1], (str, int)):
         raise ModelError(
@@ -221,7 +224,7 @@ def _json_outcome(
 
 
 def _counted_cost(where: str, costs: Mapping[str, Any], cost: str | None) -> str:
-    """Return the name of the cost that counts: the requested one, or the only one."""
+    """Return the name of the cost to be minimised: ``cost``, or the only name."""
     if cost is not None and cost in costs:
         return cost
     if costs and (cost == FIRST_COST or (cost is None and len(costs) == 1)):
@@ -243,7 +246,7 @@ def model_in_json(
 ) -> Iterator[str]:
     """Yield a complete model as a JSON text, a line for each state.
 
-    States and actions become words.
+    States and actions are written by name, as text.
 
     Args:
         model: the model.

@@ -1,4 +1,4 @@
-"""Raw models, as files of other tools contain them, and their conversion to models and back."""
+"""Raw models: the arrays in files of other tools, and their conversion to models and back."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def opened_text(path: Path, what: str = "text") -> Iterator[TextIO]:
 
 @contextmanager
 def broken_files_named(path: Path, what: str) -> Iterator[None]:
-    """Raise :class:`ModelError` for a file that cannot be unpacked or is not a text."""
+    """Turn errors of unpacking or decoding a file in a ``with`` block into :class:`ModelError`."""
     try:
         yield
     except _BROKEN as error:
@@ -119,7 +119,7 @@ def write_tar(path: FilePath, files: Mapping[str, IO[bytes]], packing: str) -> N
 
 
 FIRST_COST = "*"
-"""Name of the first cost, for a model that is only inspected."""
+"""Value of ``cost`` that means the first cost, for a model that is only inspected."""
 
 
 def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int | None:
@@ -127,7 +127,7 @@ def chosen_reward(source: object, names: Sequence[str], cost: str | None) -> int
 
     Args:
         source: name of the model in errors.
-        names: of the reward models; "" for one without a name.
+        names: names of the reward models; "" for one without a name.
         cost: the name; None: the only one; ``FIRST_COST``: the first one.
 
     Raises:
@@ -156,8 +156,8 @@ def costs_of_rewards(
 
     Args:
         source: name of the model in errors.
-        names: of the reward models.
-        rewards: of each outcome, [outcomes] each; none: every outcome costs 1.
+        names: names of the reward models.
+        rewards: one array for each reward model, [outcomes]; empty: every outcome costs 1.
         cost: name of the cost, as in :func:`chosen_reward`.
         size: number of outcomes.
 
@@ -173,8 +173,8 @@ def costs_of_rewards(
 
 
 INITIAL, DEADLOCK, PAYING = "init", "deadlock", "paying"
-"""Labels with a meaning in files: initial states, dead-ends, and states between outcomes and their
-successors that pay the rest of a cost."""
+"""Labels with a meaning in files: initial states, dead-ends, and extra states that pay the rest of
+an outcome's cost."""
 
 PAY = "pay"
 """Action of the states that pay."""
@@ -196,11 +196,11 @@ class RawModel(NamedTuple):
 
 
 def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
-    """Remove states that only pay: their cost is added to the cost of the outcome before.
+    """Remove states that only pay: their cost is added to the outcome that leads to them.
 
-    Such a state has the label "paying", one action, "pay", and one certain successor;
-    :func:`exported` makes it if the outcomes of an action differ in cost. Quantities counted until
-    a failure then include the whole step again.
+    A state that only pays has the label "paying", one action, "pay", and one certain successor;
+    :func:`exported` adds such states where the outcomes of an action differ in cost. Without them
+    a quantity that is counted until a failure includes the whole cost of the step that fails.
 
     Args:
         raw: content of the file.
@@ -247,7 +247,7 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
 
 
 def _with_pairs(raw: RawModel, kept: BoolArray) -> RawModel:
-    """Return a raw model with some of its pairs, ``kept`` [pairs]."""
+    """Return a raw model with only the pairs in the mask ``kept``, [pairs]."""
     sizes = np.diff(raw.outcome_offsets)
     outcomes, state = np.repeat(kept, sizes), segment_ids(raw.pair_offsets)
     counts = np.bincount(state[kept], minlength=raw.pair_offsets.size - 1)
@@ -422,17 +422,18 @@ def costs_of_pairs(raw: RawModel) -> dict[str, FloatArray]:
 def _split_costs(
     model: SSP, costs: Iterable[FloatArray], pair: IntArray, occurs: BoolArray
 ) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
-    """Split the costs of outcomes: a pair costs the least, a further state pays the rest.
+    """Split the costs of outcomes: the pair pays the least, an extra state pays the rest.
 
     Args:
         model: the model.
-        costs: each of them, [outcomes of the model].
-        pair: of each outcome that occurs, [outcomes].
-        occurs: [outcomes of the model].
+        costs: the model's costs, [outcomes of the model] each.
+        pair: pair of each outcome that occurs, [outcomes].
+        occurs: mask of the outcomes that occur, [outcomes of the model].
 
     Returns:
-        The next state of each outcome, [outcomes]; the costs of each pair, [pairs, costs]; and for
-        each state that pays its successor, [paying], and its costs, [paying, costs].
+        The next state of each outcome that occurs, perhaps an extra one, [outcomes]; the costs of
+        each pair, [pairs, costs]; the successor of each extra state, [extra states]; and the costs
+        that it pays, [extra states, costs].
     """
     successors = model.successors[occurs].astype(np.int64)
     paid = np.stack([each[occurs] for each in costs], axis=1)
@@ -452,7 +453,7 @@ def _split_costs(
 
 
 def distinct_words(names: Sequence[Hashable], other: str = r"[^A-Za-z0-9_.+-]+") -> list[str]:
-    """Return names as distinct words, in which an underscore stands for other characters.
+    """Return names as distinct words; characters that are not allowed become underscores.
 
     Args:
         names: the names.
@@ -472,9 +473,9 @@ def distinct_words(names: Sequence[Hashable], other: str = r"[^A-Za-z0-9_.+-]+")
 def _exported_labels(
     model: SSP, start: Hashable, idle: IntArray, n_paying: int
 ) -> Mapping[str, IntArray]:
-    """Return the labels of an exported model, with those that have a meaning in files."""
+    """Return the labels of an exported model, including "init", "deadlock", "goal" and "paying"."""
     if isinstance(start, Mapping):
-        raise ModelError("such files need one start state: name it, or add a state that draws it")
+        raise ModelError("the file needs one start state: name one, or add a state that draws it")
     goals = np.flatnonzero(model.goal_mask)
     labels = {
         INITIAL: np.array([model.index_of(start)]),
@@ -498,12 +499,12 @@ _MOST_DISTINCT = 100_000
 def decimal_sum(
     one: FloatArray, other: FloatArray, exact: Mapping[float, Fraction] | None = None
 ) -> FloatArray:
-    """Add two arrays of costs exactly, each number as the shortest decimal that rounds to it.
+    """Add two arrays of costs exactly, where each float stands for its shortest decimal.
 
     Args:
         one: [numbers].
         other: [numbers].
-        exact: the fraction meant by a float such as 1/3.
+        exact: float -> the fraction that it stands for instead, such as 1/3.
 
     Returns:
         The floats nearest to the exact sums, [numbers].

@@ -63,7 +63,8 @@ def read_umb(
         The model and its initial states.
 
     Raises:
-        ModelError: a model of another kind, or naming the file or the wrong state and action.
+        ModelError: the model is of another kind or not valid; the error names the file, or the
+            wrong state and action.
         OSError: the file cannot be read.
     """
     archive = UmbArchive(path)
@@ -74,7 +75,8 @@ def read_umb(
 class UmbArchive:
     """The arrays of a UMB archive, each with its size checked.
 
-    No size is taken from the index alone, so that a header alone cannot request memory.
+    Sizes in the index are compared with the lengths of the files before memory is allocated, so
+    that a damaged index cannot request more memory than the archive needs.
     """
 
     def __init__(self, path: FilePath) -> None:
@@ -206,7 +208,7 @@ class UmbArchive:
         kind, folder = self._stated(described, "type", dict), f"annotations/rewards/{key}"
 
         def given(entity: str, size: int) -> FloatArray:
-            """Return the rewards of one kind of entity, [entities]."""
+            """Return the rewards of states, choices or branches, [size]; 0 without a file."""
             name = f"{folder}/{entity}/values.bin"
             return self._numbers(name, kind, size) if name in self._files else np.zeros(size)
 
@@ -233,7 +235,7 @@ class UmbArchive:
         return raw_model.distinct_actions([words[code] for code in codes.tolist()], self._pairs)
 
     def _stated(self, place: Any, name: str, kind: type, *default: Any) -> Any:
-        """Return an entry of the index, whose type is checked, or the default."""
+        """Return an entry of the index, or the default if it is missing, with its type checked."""
         value = place.get(name, *default) if isinstance(place, dict) else None
         if type(value) is not kind:
             raise self._fault(f"its {_INDEX} needs {name!r}, of type {kind.__name__}")
@@ -278,9 +280,9 @@ class UmbArchive:
             return np.arange(n_targets + 1)
         offsets = self._array(name, "<i8", self._size(name, 8))
         if offsets.size < 1 or offsets[0] != 0 or offsets[-1] != n_targets:
-            raise self._fault(f"{name} does not lead from 0 to {n_targets}")
+            raise self._fault(f"{name} must run from 0 to {n_targets}")
         if (np.diff(offsets) < 0).any():
-            raise self._fault(f"{name} does not rise")
+            raise self._fault(f"{name} must not decrease")
         return np.asarray(offsets, dtype=np.int64)
 
     def _size(self, name: str, width: int) -> int:

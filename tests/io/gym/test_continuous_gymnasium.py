@@ -71,5 +71,5 @@ def test_a_grid_is_discretised_in_one_call():
         world = from_gymnasium(env, horizon=steps, survive=True, **pole)
         balanced.append(solve(MaxProb(world.model, world.start)).objective)
     assert 1.0 > balanced[0] > balanced[1] > balanced[2] > 0.0
-    refused("surviving needs a number of steps", from_gymnasium, env, survive=True, **pole)
+    refused("survive=True needs a number of steps", from_gymnasium, env, survive=True, **pole)
     refused("give start in coordinates", from_gymnasium, env, **{**pole, "start": None})

@@ -249,7 +249,7 @@ def test_tables_that_cannot_be_read_are_told():
     no_start = environment({0: [(1.0, 1, 1.0, True)]}, {})
     del no_start.unwrapped.initial_state_distrib
     for words, env, options in (
-        ("an outcome in the table must be", environment({0: [(1.0, 1, 1.0)]}, {}), {}),
+        ("outcomes in env.unwrapped.P must be", environment({0: [(1.0, 1, 1.0)]}, {}), {}),
         ("with a reward and some without", mixed, {}),
         ("no table", gym.make("CartPole-v1"), {}),
         ("cost must be", fine, {"cost": "money"}),

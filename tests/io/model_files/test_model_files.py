@@ -70,7 +70,7 @@ def test_a_name_that_cannot_be_kept_is_named(name, tmp_path):
         ({}, {"costs": np.array([{}], dtype=object)}, "another type"),
         ({}, {"successors": np.zeros((2, 2), dtype=np.int32)}, "another type"),
         ({}, {"probabilities": np.ones(1)}, "probabilities must have length"),
-        ({"states": ["depot"]}, {}, "names of states"),
+        ({"states": ["depot"]}, {}, "one name for each state"),
         ({"exact_costs": [[0.5, "1e999999999"]]}, {}, "not a fraction"),
     ],
 )

@@ -132,7 +132,7 @@ def changed_system(**changes):
             "'double-interval' with 0 bits",
         ),
         (INDEX, {"state-to-choices.bin": np.array([0, 2, 4], "<u8")}, "states, the files have 2"),
-        (INDEX, {"state-to-choices.bin": np.array([0, 5, 3, 4], "<u8")}, "does not rise"),
+        (INDEX, {"state-to-choices.bin": np.array([0, 5, 3, 4], "<u8")}, "must not decrease"),
         (INDEX, {"choice-to-branches.bin": np.array([0, 9], "<u8")}, "from 0 to 5"),
         (INDEX, {"branch-to-target.bin": np.array([9, 2, 0, 1, 2], "<u8")}, "no state 9"),
         (INDEX, {"branch-to-probability.bin": b"1"}, "has 1 bytes, not 40"),
