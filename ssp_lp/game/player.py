@@ -332,11 +332,12 @@ class Player:
 
     @cached_property
     def origin(self) -> float:
-        """Origin from which J_cond is counted: 1 if success is rare, else 0 (``BestResponse``)."""
-        base, is_rare = self.base, False
-        if self.counts_total:
-            is_rare = float(base.start @ self.tails.greatest_goal) + base.start_goal <= _RARE
-        return float(is_rare)
+        """Origin from which J_cond is counted: 1 if success is rare, else 0 (``BestResponse``).
+
+        It is that of case S; case M counts from 0.
+        """
+        reachable = float(self.base.start @ self.tails.greatest_goal) + self.base.start_goal
+        return float(reachable <= _RARE)
 
     @cached_property
     def undiscounted_tail(self) -> LayeredTails:
@@ -597,11 +598,6 @@ class BayesPlayer(Player):
 
     with W_t = (w_o + gamma^t w_d) J(x, alpha_t). (T as printed in the paper weights G-bar twice.)
     """
-
-    @cached_property
-    def origin(self) -> float:
-        """Origin of J_cond, which is 0 here."""
-        return 0.0
 
     @cached_property
     def stationary(self) -> Player:

@@ -526,8 +526,8 @@ def proof_of(
         member = nodes.member(nodes.last.__getitem__)
         is_new = (key := frozenset(member.decision.items())) not in members
         members[key] = member
-        paid = map(mul, [Fraction(1), *prices], member.totals)
-        attained = lower_bound(program, prices, math.floor(sum(paid) * ONE), most)
+        priced = map(mul, [Fraction(1), *prices], member.totals)
+        attained = lower_bound(program, prices, math.floor(sum(priced) * ONE), most)
         if lower is not None and attained is not None and lottery.weights:
             worth = lottery.value + program.objective.constant
             if attained >= worth - _LESS * (1 + abs(worth)):

@@ -11,7 +11,7 @@ from games import RETRY, criteria, game_at, hand_problem, matrix_game_value, max
 from references.frontier import Point, constrained_optimum, constrained_ratio
 from refusing import refused
 from small_models import TWO_MOVES, model_of
-from ssp_lp import InfeasibleError, ModelError, SolverError
+from ssp_lp import InfeasibleError, ModelError, SolverError, evaluate
 from ssp_lp.compiled.deadline import until
 from ssp_lp.game import (
     Equilibrium,
@@ -706,3 +706,143 @@ def test_the_least_failure_within_a_horizon():
         stationary_game(MCMP(model, "x", 0.05, discount=0.9, horizon=2))
     assert caught.value.least_failure == pytest.approx(1 / 16)
     assert caught.value.least_discounted_failure == pytest.approx(1 - 0.75 * (0.9 + 0.81 / 4))
+
+
+# What lies beyond a horizon or a cap, where it costs nothing more: the bounds are nearly attained.
+
+PATIENT = {
+    "x": {"pay": [(1.0, "y", 2.0)]},
+    "y": {
+        "likely": [(0.05, "g", 0.0), (0.9, "y", 0.0), (0.05, "d", 0.0)],
+        "rarely": [(0.01, "g", 0.0), (0.9, "y", 0.0), (0.09, "d", 0.0)],
+    },
+    "d": {},
+}
+"""The goal is reached with 1/2 or with 1/10, after 11 steps in the mean, for 2."""
+NEARLY = 1.0 - 1e-7
+
+
+@pytest.mark.parametrize("horizon", [1, 2, 16, 64])
+@pytest.mark.parametrize("cap", [1, 2, 16])
+@pytest.mark.parametrize("price", [0.25, 1.5, 2.5, 40.0])
+def test_bounds_beyond_are_those_of_the_greatest_and_the_least_success(
+    price, cap, horizon, monkeypatch
+):
+    """(2 - price) q is least at the greatest success if the price is above 2, else at the least."""
+    player = bayes_player(S3P(model_of(PATIENT), "x", failure_budget=0.95, discount=NEARLY))
+    exact = min(20.0 * q - price * q * NEARLY**2 / (1.0 - 0.9 * NEARLY) for q in (0.05, 0.01))
+    room = 1e-5 * (1.0 + price)
+    reply = player._response(np.array([1.0, price]), cap, horizon)
+    assert exact + price - room <= reply.bound <= (exact + price) * (1 + 1e-13)
+    assert reply.payoff(1.0, price) >= (exact + price) * (1 - 1e-13)
+    monkeypatch.setattr(type(player), "response", lambda self, *asked: reply)
+    assert exact - room <= player.surplus(price, 1e-3) <= exact + 1e-13
+
+
+def test_responses_of_the_unapproximated_game_are_as_near_as_asked():
+    """In both cases; the order of the actions, one of which waits for ever, changes no value."""
+    for criterion in (MCMP, S3P):
+        told, waits = [], {"wait": [(1.0, "x", 1)]}
+        for actions in ({**RETRY["x"], **waits}, {**waits, **RETRY["x"]}):
+            problem = hand_problem(criterion, {**RETRY, "x": actions}, 0.5, 0.95)
+            player = bayes_player(problem)
+            for accuracy in (1e-2, 1e-5, 1e-10):
+                for price in (0.5, 5.0, 50.0):
+                    reply = player.response(1.0, price, accuracy)
+                    pays = reply.payoff(1.0, price)
+                    assert 0.0 <= pays - reply.bound <= accuracy * pays * (1 + 1e-9)
+            told.append(bayes_adaptive(problem, tolerance=1e-8).objective)
+        assert told[0] == pytest.approx(told[1], rel=1e-7)
+    slow = {"x": {"slow": [(0.05, "g", 1), (0.95, "x", 1)], "fast": [(0.5, "g", 1), (0.5, "d", 1)]}}
+    player = bayes_player(hand_problem(S3P, slow | {"d": {}}, 0.9, 0.5))
+    reply = player.response(1.0, 100.0, 1e-6)  # what fails has faded long before what is paid
+    assert reply.payoff(1.0, 100.0) - reply.bound <= 1e-6 * reply.payoff(1.0, 100.0)
+
+
+@pytest.mark.parametrize("price", [0.5, 2.0, 8.0, 64.0])
+@pytest.mark.parametrize("weight", [1.0, 0.25])
+def test_a_bound_at_a_fixed_cap_in_fractions(price, weight):
+    """One step of either action; then M = 1 is paid, and pi'_or, which is ``rush``, is followed.
+
+    From there on J_obj is undiscounted: 1 / 2 of the runs arrive at each step, 1 / 4 go on.
+    """
+    chances = {"rush": (0.5, 0.25), "care": (0.25, 0.6875)}
+    table = {
+        name: [(goal, "g", 1.0), (stay, "x", 1.0), (1.0 - goal - stay, "d", 1.0)]
+        for name, (goal, stay) in chances.items()
+    }
+    problem = S3P(model_of({"x": table, "d": {}}), "x", failure_budget=0.9, discount=0.75)
+    gamma, ahead = Fraction(3, 4), Fraction(1, 2) / Fraction(3, 4)  # P(goal) of rush
+    cost, early = ahead / Fraction(3, 4), Fraction(1, 2) / (1 - gamma / 4)
+    payoffs = [
+        Fraction(weight) * (Fraction(goal) + gamma * Fraction(stay) * (ahead + cost))
+        + Fraction(price) * (1 - gamma * (Fraction(goal) + Fraction(stay) * gamma * early))
+        for goal, stay in chances.values()
+    ]
+    reply = stationary_player(problem, tail=1).response(weight, price, 1e-12)
+    assert Fraction(reply.bound) <= min(payoffs)
+    assert reply.bound == pytest.approx(float(min(payoffs)), rel=1e-13)
+    assert reply.payoff(weight, price) == pytest.approx(float(min(payoffs)), rel=1e-14)
+
+
+SLOW = {
+    "x": {"slow": [(0.1, "g", 1), (0.85, "y", 2), (0.05, "d", 1)],
+          "rash": [(0.3, "g", 1), (0.3, "y", 1), (0.4, "d", 1)]},
+    "y": {"back": [(1.0, "x", 1)], "on": [(0.2, "g", 3), (0.7, "y", 1), (0.1, "d", 1)]},
+    "d": {},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("price", [0.5, 5.0, 50.0])
+@pytest.mark.parametrize("cap", [1, 2, 7, 40])
+def test_what_a_response_states_is_what_its_policy_attains(cap, price):
+    """At any cap and horizon, tails included: both costs, by an evaluation of the policy."""
+    start, weights = {"x": 0.75, "y": 0.25}, np.array([1.0, price])
+    problem = S3P(model_of(SLOW), start, failure_budget=0.9, discount=0.9)
+    player = stationary_player(problem)
+    reply = player._swept(weights, cap)
+    told = evaluate(player.policy(reply), problem)
+    assert reply.condition == pytest.approx(told.discounted_failure, rel=1e-12)
+    assert reply.ratio == pytest.approx(told.objective, rel=1e-12)
+    for criterion, horizon in ((S3P, 1), (S3P, 6), (MCMP, 1), (MCMP, 6)):
+        problem = criterion(model_of(SLOW), start, failure_budget=0.9, discount=0.9)
+        player = bayes_player(problem)
+        reply = player._response(weights, cap if criterion is S3P else 1, horizon)
+        told = evaluate(player.policy(reply), problem)
+        paid = told.success_cost if criterion is S3P else told.expected_cost
+        assert reply.condition == pytest.approx(told.discounted_failure, rel=1e-12)
+        assert reply.objective == pytest.approx(paid, rel=1e-12)
+
+
+def pressed(*_):
+    """Somebody presses Ctrl-C."""
+    raise KeyboardInterrupt
+
+
+def test_value_functions_of_the_game(monkeypatch):
+    """RETRY by hand, at price 10; a start on goals or dead-ends has a value of its own."""
+    price, gamma = 10.0, 0.95
+    fails = 1.0 - gamma + gamma * 0.2
+    known = (1.0 + gamma * 0.2 + price * fails) / (1.0 - gamma * 0.3)
+    for start, value in (
+        ({"x": 1.0}, None), ({"x": 0.5, "g": 0.5}, 0.5 * known),
+        ({"x": 0.5, "d": 0.5}, 0.5 * known + 0.5 * (1.0 + price)),
+    ):  # fmt: skip
+        problem = MCMP(model_of(RETRY), start, failure_budget=0.9, discount=gamma)
+        player = stationary_player(problem)
+        told = player.value_function(price, [])
+        assert told == pytest.approx(np.array([known] if value is None else [known, value]))
+        assert told[0] <= known * (1 + 1e-15)
+        with until(float("inf")), monkeypatch.context() as interrupted:
+            interrupted.setattr(type(player), "response", pressed)
+            late = player.value_function(price, [])
+        assert late.shape == told.shape
+        assert np.isinf(late).all()
+    whole = stationary_player(hand_problem(S3P, RETRY, 0.5, gamma))
+    responses = [whole._swept(np.array([1.0, price]), cap) for cap in (3, 9, 5)]
+    layers = responses[1].strategy.choice.shape[1:]
+    assert layers[0] >= 9
+    assert whole.value_function(price, responses).shape == layers
+    root = {"x": {"go": [(0.5, "g", 1.0), (0.4, "x", 2.0**0.5), (0.1, "x", 1.0)]}}
+    odd = stationary_player(hand_problem(S3P, root, 0.5, gamma))
+    assert odd.value_function(price, []).tolist() == [np.inf]

@@ -110,7 +110,7 @@ def test_values_are_allowed_and_next_to_the_greatest(seed):
     assert all(abs(a - b) <= 10**16 for a, b in zip(attained, best, strict=True))
     for i, known in enumerate(best):
         ends = [w.own // w.total for w in ways if w.node == i and not w.outcomes]
-        if ends and 0 <= min(ends) - known < 1 and values[i] != min(ends):
+        if ends and min(ends) == known != values[i]:
             assert not allowed(ways, [*values[:i], min(ends), *values[i + 1 :]])
     for begin in (first_ways(ways), choice):
         again = best_values(ways, begin)
