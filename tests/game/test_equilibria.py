@@ -24,6 +24,7 @@ from ssp_lp.game import (
     player as players,
     stationary_game,
     stationary_player,
+    thresholds,
 )
 from ssp_lp.game.equilibrium import cheapest_crossing, crossing, unplayed_game
 from ssp_lp.game.optimum import (
@@ -52,6 +53,11 @@ def test_the_terms_of_a_payoff():
     assert game.excess(RARE) == pytest.approx(4.0 - 8.0 * 0.8)
     assert (RARE.condition, RARE.success) == pytest.approx((0.8, 0.2))
     assert RARE.ratio == pytest.approx(20.0)
+    for success, origin, hopeful in (
+        (1e-14, 1.0, True), (0.0, 1.0, False), (1e-11, 0.0, True), (1e-13, 0.0, False),
+    ):  # fmt: skip
+        reply = BestResponse(1.0, (1.0 - origin) - success, 0.0, origin=origin)
+        assert reply.is_hopeful is hopeful
 
 
 @pytest.mark.parametrize("origin", [0.0, 1.0])
@@ -558,6 +564,18 @@ def test_the_least_cost_of_listed_policies():
     assert best * (1 - 1e-9) <= found.lower_bound <= best * (1 + 1e-12)
     assert (found.spent, found.alpha) == (0.4, found.threshold.game.alpha)
     assert found.price == found.threshold.failure_price
+    least = min(f for f, _ in points)
+    below = replace(problem, failure_budget=least - 5e-11)  # it counts as the least failure
+    assert find_optimum(below, Listed(points), tolerance=1e-9).spent == least
+
+
+def test_a_budget_of_1_asks_for_the_cheapest_policy():
+    """In case M; given success no policy has to succeed then, and there is no game."""
+    problem = hand_problem(MCMP, RETRY, 0.5, 0.95)
+    (free,) = thresholds(problem, [1.0])
+    assert free.high == extremes(stationary_player(problem), 1e-10)[1].objective
+    with pytest.raises(ModelError, match="not defined"):
+        thresholds(hand_problem(S3P, RETRY, 0.5, 0.95), [1.0])
 
 
 @dataclass(frozen=True)
