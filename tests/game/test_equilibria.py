@@ -864,3 +864,18 @@ def test_value_functions_of_the_game(monkeypatch):
     root = {"x": {"go": [(0.5, "g", 1.0), (0.4, "x", 2.0**0.5), (0.1, "x", 1.0)]}}
     odd = stationary_player(hand_problem(S3P, root, 0.5, gamma))
     assert odd.value_function(price, []).tolist() == [np.inf]
+
+
+@criteria
+@pytest.mark.parametrize("make", [stationary_player, bayes_player])
+def test_decisions_among_many_actions(make, criterion):
+    """The last of 300 actions is the best one in x, where y has a single action."""
+    many = {f"u{k}": [(0.5, "g", 400.0 - k), (0.5, "y", 400.0 - k)] for k in range(300)}
+    table = {"x": many, "y": {"on": [(0.5, "g", 1.0), (0.5, "d", 1.0)]}, "d": {}}
+    problem = hand_problem(criterion, table, 0.9, 0.9)
+    player = make(problem)
+    reply = player.response(1.0, 1.0, 1e-9)
+    told = evaluate(player.policy(reply), problem)
+    paid = 101.0 * 0.5 + 102.0 * 0.25 if criterion is S3P else 101.0 + 0.5
+    real = told.success_cost if criterion is S3P else told.expected_cost
+    assert real == pytest.approx(paid, rel=1e-12)
