@@ -870,12 +870,13 @@ def test_value_functions_of_the_game(monkeypatch):
 @pytest.mark.parametrize("make", [stationary_player, bayes_player])
 def test_decisions_among_many_actions(make, criterion):
     """The last of 300 actions is the best one in x, where y has a single action."""
-    many = {f"u{k}": [(0.5, "g", 400.0 - k), (0.5, "y", 400.0 - k)] for k in range(300)}
+    costs = [3.0] * 299 + [2.0]
+    many = {k: [(0.5, "g", cost), (0.5, "y", cost)] for k, cost in enumerate(costs)}
     table = {"x": many, "y": {"on": [(0.5, "g", 1.0), (0.5, "d", 1.0)]}, "d": {}}
     problem = hand_problem(criterion, table, 0.9, 0.9)
     player = make(problem)
     reply = player.response(1.0, 1.0, 1e-9)
     told = evaluate(player.policy(reply), problem)
-    paid = 101.0 * 0.5 + 102.0 * 0.25 if criterion is S3P else 101.0 + 0.5
+    paid = 2.0 * 0.5 + 3.0 * 0.25 if criterion is S3P else 2.0 + 0.5
     real = told.success_cost if criterion is S3P else told.expected_cost
     assert real == pytest.approx(paid, rel=1e-12)
