@@ -332,14 +332,18 @@ def test_a_cap_where_costs_have_no_unit():
 def test_a_cap_is_a_cost_where_costs_have_no_unit():
     """pi'_or takes a from y on where M < 1 is paid there; M = 3 / 2 leaves the choice of b.
 
-    a pays 1 + 10 sqrt 2 with 1/2, discounted once; b and c pay 2 + sqrt 2, discounted twice.
+    a pays 1 + 10 sqrt 2 with 1/2, discounted once. b leads to c, discounted twice: 2 + sqrt 2 is
+    paid with 3/5; of the others, which come to y again, half pay 3 + 11 sqrt 2.
     """
-    root = 2.0**0.5
+    root, gamma = 2.0**0.5, 0.8
     y = {"a": [(0.5, "g", 10.0 * root), (0.5, "d", root)], "b": [(1.0, "z", 1.0)]}
-    z = {"c": [(0.6, "g", root), (0.4, "d", 1.0)]}
+    z = {"c": [(0.6, "g", root), (0.4, "x", root)]}
     model = model_of({"x": {"on": [(1.0, "y", 1.0)]}, "y": y, "z": z, "d": {}})
-    problem = S3P(model, "x", failure_budget=0.95, discount=0.8)
-    for tail, known in ((0.9, (1.0 + 10.0 * root) / 0.8), (1.5, (2.0 + root) / 0.8)):
+    problem = S3P(model, "x", failure_budget=0.95, discount=gamma)
+    assert stationary_player(problem).base.by_steps
+    paid = gamma**2 * (0.6 * (2.0 + root) + 0.2 * (3.0 + 11.0 * root))
+    later = paid / (gamma**3 * 0.6 + gamma**5 * 0.2)
+    for tail, known in ((0.9, (1.0 + 10.0 * root) / gamma), (1.5, later)):
         found = stationary_game(problem, tail=tail)
         assert found.objective == pytest.approx(known, rel=1e-12), tail
 
@@ -576,6 +580,7 @@ def test_a_budget_of_1_asks_for_the_cheapest_policy():
     assert free.high == extremes(stationary_player(problem), 1e-10)[1].objective
     with pytest.raises(ModelError, match="not defined"):
         thresholds(hand_problem(S3P, RETRY, 0.5, 0.95), [1.0])
+    refused("tolerance must", thresholds, problem, [0.5], tolerance=0.0)
 
 
 @dataclass(frozen=True)
