@@ -24,6 +24,7 @@ from ssp_lp.game import (
     player as players,
     stationary_game,
     stationary_player,
+    thresholds,
 )
 from ssp_lp.game.equilibrium import cheapest_crossing, crossing, unplayed_game
 from ssp_lp.game.optimum import (
@@ -52,6 +53,11 @@ def test_the_terms_of_a_payoff():
     assert game.excess(RARE) == pytest.approx(4.0 - 8.0 * 0.8)
     assert (RARE.condition, RARE.success) == pytest.approx((0.8, 0.2))
     assert RARE.ratio == pytest.approx(20.0)
+    for success, origin, hopeful in (
+        (1e-14, 1.0, True), (0.0, 1.0, False), (1e-11, 0.0, True), (1e-13, 0.0, False),
+    ):  # fmt: skip
+        reply = BestResponse(1.0, (1.0 - origin) - success, 0.0, origin=origin)
+        assert reply.is_hopeful is hopeful
 
 
 @pytest.mark.parametrize("origin", [0.0, 1.0])
@@ -326,14 +332,18 @@ def test_a_cap_where_costs_have_no_unit():
 def test_a_cap_is_a_cost_where_costs_have_no_unit():
     """pi'_or takes a from y on where M < 1 is paid there; M = 3 / 2 leaves the choice of b.
 
-    a pays 1 + 10 sqrt 2 with 1/2, discounted once; b and c pay 2 + sqrt 2, discounted twice.
+    a pays 1 + 10 sqrt 2 with 1/2, discounted once. b leads to c, discounted twice: 2 + sqrt 2 is
+    paid with 3/5; of the others, which come to y again, half pay 3 + 11 sqrt 2.
     """
-    root = 2.0**0.5
+    root, gamma = 2.0**0.5, 0.8
     y = {"a": [(0.5, "g", 10.0 * root), (0.5, "d", root)], "b": [(1.0, "z", 1.0)]}
-    z = {"c": [(0.6, "g", root), (0.4, "d", 1.0)]}
+    z = {"c": [(0.6, "g", root), (0.4, "x", root)]}
     model = model_of({"x": {"on": [(1.0, "y", 1.0)]}, "y": y, "z": z, "d": {}})
-    problem = S3P(model, "x", failure_budget=0.95, discount=0.8)
-    for tail, known in ((0.9, (1.0 + 10.0 * root) / 0.8), (1.5, (2.0 + root) / 0.8)):
+    problem = S3P(model, "x", failure_budget=0.95, discount=gamma)
+    assert stationary_player(problem).base.by_steps
+    paid = gamma**2 * (0.6 * (2.0 + root) + 0.2 * (3.0 + 11.0 * root))
+    later = paid / (gamma**3 * 0.6 + gamma**5 * 0.2)
+    for tail, known in ((0.9, (1.0 + 10.0 * root) / gamma), (1.5, later)):
         found = stationary_game(problem, tail=tail)
         assert found.objective == pytest.approx(known, rel=1e-12), tail
 
@@ -558,6 +568,19 @@ def test_the_least_cost_of_listed_policies():
     assert best * (1 - 1e-9) <= found.lower_bound <= best * (1 + 1e-12)
     assert (found.spent, found.alpha) == (0.4, found.threshold.game.alpha)
     assert found.price == found.threshold.failure_price
+    least = min(f for f, _ in points)
+    below = replace(problem, failure_budget=least - 5e-11)  # it counts as the least failure
+    assert find_optimum(below, Listed(points), tolerance=1e-9).spent == least
+
+
+def test_a_budget_of_1_asks_for_the_cheapest_policy():
+    """In case M; given success no policy has to succeed then, and there is no game."""
+    problem = hand_problem(MCMP, RETRY, 0.5, 0.95)
+    (free,) = thresholds(problem, [1.0])
+    assert free.high == extremes(stationary_player(problem), 1e-10)[1].objective
+    with pytest.raises(ModelError, match="not defined"):
+        thresholds(hand_problem(S3P, RETRY, 0.5, 0.95), [1.0])
+    refused("tolerance must", thresholds, problem, [0.5], tolerance=0.0)
 
 
 @dataclass(frozen=True)
@@ -846,3 +869,19 @@ def test_value_functions_of_the_game(monkeypatch):
     root = {"x": {"go": [(0.5, "g", 1.0), (0.4, "x", 2.0**0.5), (0.1, "x", 1.0)]}}
     odd = stationary_player(hand_problem(S3P, root, 0.5, gamma))
     assert odd.value_function(price, []).tolist() == [np.inf]
+
+
+@criteria
+@pytest.mark.parametrize("make", [stationary_player, bayes_player])
+def test_decisions_among_many_actions(make, criterion):
+    """The last of 300 actions is the best one in x, where y has a single action."""
+    costs = [3.0] * 299 + [2.0]
+    many = {k: [(0.5, "g", cost), (0.5, "y", cost)] for k, cost in enumerate(costs)}
+    table = {"x": many, "y": {"on": [(0.5, "g", 1.0), (0.5, "d", 1.0)]}, "d": {}}
+    problem = hand_problem(criterion, table, 0.9, 0.9)
+    player = make(problem)
+    reply = player.response(1.0, 1.0, 1e-9)
+    told = evaluate(player.policy(reply), problem)
+    paid = 2.0 * 0.5 + 3.0 * 0.25 if criterion is S3P else 2.0 + 0.5
+    real = told.success_cost if criterion is S3P else told.expected_cost
+    assert real == pytest.approx(paid, rel=1e-12)

@@ -284,3 +284,19 @@ def test_a_policy_that_waits_beyond_the_cap(cap, monkeypatch):
     lines = certificate_of(replace(honest, policy=lottery))
     bounds, _, _ = check(lambda: iter(lines))
     assert bounds.lower <= 4 <= bounds.upper <= bounds.lower + Fraction(1, 10**18)
+
+
+@pytest.mark.parametrize("cap", [1, 2, 4, 20])
+def test_what_exceeds_the_cap_waits_where_its_node_does(cap, monkeypatch):
+    """Half of the runs arrive for 3, the others come to where one may rest for ever for nothing."""
+    monkeypatch.setattr(certificate_file, "_first_cap", lambda asked, solved: Fraction(cap))
+    table = {"x": {"on": [(0.5, "g", 3.0), (0.5, "y", 3.0)]}, "y": REST_OR_GO, "d": {}}
+    model = model_of(table)
+    honest = solve(S3P(model, "x", 0.5))
+    rests = DeterministicPolicy.from_actions(model, {"x": "on", "y": "stay"})
+    members = (rests, *honest.policy.policies)
+    lottery = MixedPolicy(members, np.full(len(members), 1.0 / len(members)))
+    for policy in (lottery, MixedPolicy((rests,), np.ones(1))):
+        lines = certificate_of(replace(honest, policy=policy))
+        bounds, _, _ = check(lambda lines=lines: iter(lines))
+        assert bounds.lower <= 3 <= bounds.upper <= bounds.lower + Fraction(1, 10**18)
