@@ -1,4 +1,4 @@
-"""Problems and answers for other processes, which name their models instead of containing them.
+"""Problems and answers as sent to other Python processes: models are named, not contained.
 
 Each model is sent once, in a file that any process maps into memory. All other pickles name the
 model by its place in this file, so problems and answers are small. An answer that arrives is

@@ -261,9 +261,9 @@ class Formulation(Problem):
                 limits = (pair for pair in limits_of(self) if automaton.unit > 0.0)
                 if not all(followed.is_safe(limit, self.constraints.get(name) is limit)
                            for name, limit in limits):  # fmt: skip
-                    raise ModelError(f"too many distinct totals in {followed!r}, and rounding them "
-                                     "up is safe only for constraints within(...) >= p and "
-                                     "exceeds(...) <= p: round the amounts")  # fmt: skip
+                    raise ModelError(f"too many distinct totals in {followed!r}: round the "
+                                     "amounts; they are rounded up automatically only for "
+                                     "limits within(...) >= p and exceeds(...) <= p")  # fmt: skip
                 product = track(model, automaton, followed, begin)
                 model, begin = product, product.at(begin, product.first_memory(begin))
         if model is self.model:

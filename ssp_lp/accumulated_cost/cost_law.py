@@ -86,8 +86,9 @@ class CostLaw:
     def within(self, bound: float | Fraction) -> float:
         """Return the distribution function: Pr(goal, C <= bound).
 
-        A float stands for its shortest decimal (three steps of 0.1 are within 0.3), or for the
-        multiple of the unit to which it is nearest (2/3 for the unit 1/3); fractions are exact.
+        A float that is the double nearest to a multiple of the unit stands for this multiple: 2/3
+        for the unit 1/3, and three steps of 0.1 are within 0.3. Any other float stands for its
+        shortest decimal. Fractions are exact.
         """
         if bound == inf:
             return self.goal

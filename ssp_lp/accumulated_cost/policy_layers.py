@@ -95,7 +95,7 @@ class _Staying:
 class LayerMoves:
     """The steps of a model under a policy that depends on the layer of accumulated cost.
 
-    A class of steps has one cost, so that all its steps pass equally many layers. Mass that waits
+    All steps of a class have the same cost, so they pass the same number of layers. Mass that waits
     in later layers is stored in the rows of a ring buffer.
     """
 
@@ -156,10 +156,11 @@ class LayerMoves:
         """Mark, in place, the states of some layers from which a policy may reach marked states.
 
         Args:
-            begin: the first layer. A class of steps must pass equally many layers from each layer
-                between begin and end.
+            begin: the first layer. Between ``begin`` and ``end``, each class of steps must pass a
+                fixed number of layers.
             end: the layer after the last one. Layers are marked from the last one backwards.
-            hopeful: marks, updated, [layers and layers ahead, states].
+            hopeful: marks, updated, [layers + ``room``, states]: of all layers, and of those that
+                steps reach beyond the last one.
         """
         check_time()
         model, leads, decision = self.model, self.layers.leads(begin), self.layers.decision
@@ -258,7 +259,7 @@ class LayerMoves:
     ) -> FloatArray | None:
         """Follow mass in one compiled pass through the first layers, as far as possible.
 
-        In these layers no step has cost 0, and a class of steps always passes equally many layers.
+        In these layers no step has cost 0, and a class of steps passes a fixed number of layers.
 
         Args:
             waiting: mass, as for ``follow``.

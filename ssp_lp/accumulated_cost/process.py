@@ -194,7 +194,7 @@ def accumulate_cost(
         discount: None keeps real probabilities; a number scales every transition by it.
         arrivals: also classify the steps into the goal, so that any function of the total cost can
             be charged.
-        usable: pairs that may be used, [model pairs]. If given, a policy may not fail by choice:
+        usable: pairs that may be used, [model pairs]. If given, no policy fails by choice:
             this is the second stage of a least-failure problem (mathematics, section 4).
         side: other limits of the problem. A pair is free only if it adds nothing to them.
         by_steps: classify steps by distinct costs, rather than by multiples of a common unit.

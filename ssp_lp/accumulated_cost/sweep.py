@@ -258,8 +258,8 @@ class Sweep:
             choice: written: the minimising choice, [cap, nodes]; None if there are free steps.
 
         Returns:
-            The bound for an episode that begins in each layer, [cap]; and the values, [cap, nodes],
-            infinite if they are too many to keep.
+            The bound for an episode that begins in each layer, [cap]; and the values, [cap, nodes].
+            If the table of values would be too large to store, every value returned is infinite.
         """
         process, base = self.process, self.process.base
         inner, floor = self._first_choice, priced.floor

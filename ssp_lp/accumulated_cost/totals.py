@@ -58,8 +58,9 @@ def exact_cost(cost: float | Fraction, exact: Mapping[float, Fraction] = _NO_COS
 def last_layer(bound: float | Fraction, unit: Fraction) -> int:
     """Return the number of units in a finite bound, rounded down; negative for a negative bound.
 
-    A float stands for its shortest decimal (three steps of 0.1 are within 0.3), or for the multiple
-    of the unit to which it is nearest (2/3 for the unit 1/3).
+    A float that is the double nearest to a multiple of the unit stands for this multiple: 2/3 for
+    the unit 1/3, and three steps of 0.1 are within 0.3. Any other float stands for its shortest
+    decimal.
     """
     if not isinstance(bound, Rational):
         nearest = round(Fraction(float(bound)) / unit)

@@ -532,8 +532,8 @@ class _Optimum:
 
         Four conditions are sufficient: every optimal pair of a visited state is used; the number of
         these pairs is the number of visited states plus the number of tight rows; every tight row
-        has a price; and where failing is charged like an action, no other action of the state costs
-        the same.
+        has a price; and wherever failing is charged the cost of an action, no other action of the
+        state has this cost.
         """
         unused = (self.best & (self.measure.visits <= ROUNDING)).any()
         alone = self.has_one_price and self._priced == {*self.tight} and not unused
@@ -643,7 +643,7 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
 
     Args:
         problem: the problem.
-        begun: optimum of a program with equally many rows and columns, for a warm start; or None.
+        begun: optimum of a program of the same shape, for a warm start; or None.
 
     Raises:
         SolverError: the optimum that was found is not a vertex.

@@ -115,7 +115,7 @@ def gather_component(
         by_row: whether they are rewards of rows.
         x: totals, known for the successors outside the component, [states, rewards].
         inner: written: the matrix, [size, size].
-        low: written: for each i the least j <= i such that entry (i, j) or (j, i) may not be 0
+        low: written: for each i the least j <= i such that entry (i, j) or (j, i) can differ from 0
             after all later states are eliminated, [size].
         leaving: written: probability of leaving the component, [size].
         right: written: rewards plus expected totals outside, [size, rewards].
@@ -213,7 +213,7 @@ def solve_eliminated(
     """Solve for right sides, in place, after ``eliminate_states``.
 
     Args:
-        inner: as ``eliminate_states`` has left it; so are ``width``, ``shift`` and ``low``.
+        inner: from ``eliminate_states``, as are ``width``, ``shift`` and ``low``.
         right: right sides, overwritten by the solution, [states, rewards].
         size: number of states.
     """

@@ -62,19 +62,19 @@ def search_backwards(
 ) -> None:  # fmt: skip
     """Search backwards from reached states, breadth-first, and close the pairs that lead to them.
 
-    A state is reached as soon as as many of its pairs are closed as ``wanted`` says. If this is 1,
-    the search finds the states from which some pair may lead to a reached state. If it is the
-    number of open pairs, it finds the states from which every open pair may.
+    A state is reached as soon as ``wanted`` of its pairs are closed. If ``wanted`` is 1, the search
+    finds the states from which some pair may lead to a reached state. If ``wanted`` is the number
+    of open pairs, it finds the states from which every open pair may lead to a reached state.
 
     Args:
         graph: offsets of each state's predecessors, [states + 1]; the predecessors, which are
             pairs, [entries]; and the state of each pair, [pairs].
         open_pairs: pairs that are not closed, updated, [pairs].
         wanted: number of pairs to close before a state is reached, updated, [states] int64.
-        states: the states that are reached at first.
-        choice: written: for each state, of the pairs by which it is reached earliest, the first,
-            [states] int64.
-        distance: zeros; written: steps from each reached state to the first ones, [states] int32.
+        states: the states from which the search begins.
+        choice: written: a pair by which each state is reached in the fewest steps; if there are
+            several, the one with the lowest index, [states] int64.
+        distance: zeros; written: steps from each reached state to ``states``, [states] int32.
     """
     n, (offsets, pairs, home) = wanted.size, graph
     choice = np.empty(n, dtype=np.int64) if choice is None else choice

@@ -306,7 +306,7 @@ def sweep_blocks(
     vector instructions compute several layers together. Each sum has the order of ``sweep_layers``.
 
     Args:
-        layers: the layers; every class of steps passes equally many layers, at least ``block``.
+        layers: the layers; each class of steps passes a fixed number of them, at least ``block``.
         block: layers of a block.
         weight: weight of the charge.
         owed: as in ``sweep_layers``.
@@ -407,7 +407,7 @@ def stream_evenly(
     leads: Array, costs: Array, stage: Array, stopping: Array, forbidden: Array, goes_on: bool,
     column: int, survival: float, totals: Array, stopped: Array,
 ) -> bool:  # fmt: skip
-    """Follow a policy's mass through layers in which each class leads equally many layers ahead.
+    """Follow a policy's mass through layers; each class of steps passes a fixed number of them.
 
     Args:
         waiting: mass, mass times the accumulated cost, and mass that has lost the goal; written,
@@ -424,7 +424,7 @@ def stream_evenly(
         classes: class of the step cost, [outcomes]; empty: all outcomes are of class 0.
         leads: layers that each class of steps passes, at least 1, [classes].
         costs: [classes].
-        stage: mean cost of a step, [pairs]; if empty, so are ``stopping`` and ``forbidden``.
+        stage: mean cost of a step, [pairs]; if empty, ``stopping`` and ``forbidden`` are empty.
         stopping: cost of failing in a state, [states].
         forbidden: whether giving up is not allowed, [states].
         goes_on: whether costs are paid after the goal is lost.
@@ -592,7 +592,7 @@ def follow_layer(
 def follow_layers(
     layers: Any, first: int, position: Array, ring: Array, sums: Array,
 ) -> None:  # fmt: skip
-    """Send mass on through layers; every class of steps must pass equally many layers.
+    """Send mass on through layers; each class of steps must pass a fixed number of them.
 
     Args:
         layers: all layers.

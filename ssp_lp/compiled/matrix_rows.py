@@ -28,7 +28,7 @@ def count_rows(
         successors: [outcomes].
         probabilities: [outcomes].
         node_of: node of each state; negative if runs end there, [states].
-        pair_at: pair of the model of each row; negative: giving up, [rows].
+        pair_at: the model's pair for each row; negative: giving up, [rows].
         home: node of each row, if self-loops are removed, [rows]; otherwise empty.
         counts: written: number of entries, [rows].
         departs: written: probability of departing from the node, if a self-loop is removed, else 1,
@@ -199,7 +199,7 @@ def place_layers(
     Args:
         choice: position of a pair of the process, counted from ``first``, [layers, nodes].
         first: pair from which the choice of each node counts, [nodes].
-        pair_at: pair of the model of each pair, or a negative code, [pairs].
+        pair_at: the model's pair for each pair of the process, or a negative code, [pairs].
         offsets: first pair of each state of the model, [states].
         node_of: node of each state; negative if nothing is decided there, [states].
         found: written: position among the state's pairs, or the code, [layers, states].

@@ -138,7 +138,7 @@ def _improve_component(
         noise: relative gain up to which a pair is kept.
         choice: pairs of the policy, improved in place, [all states].
         values: values; written for the component, [all states].
-        inner: memory of ``gather_component``; so are ``low``, ``leaving`` and ``right``.
+        inner: working memory for ``gather_component``, like ``low``, ``leaving`` and ``right``.
 
     Returns:
         False if a policy never leaves the component from some state.

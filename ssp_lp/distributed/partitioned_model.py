@@ -223,7 +223,7 @@ class PartitionedModel:
 
         Raises:
             ModelError: the policy belongs to another model, has no decision in a state, or gives
-                up where it may not.
+                up where this is forbidden.
         """
         problem = self._stated(criterion, asked)
 

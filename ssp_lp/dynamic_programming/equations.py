@@ -99,7 +99,7 @@ class System:
 
     @cached_property
     def moves(self) -> Moves:
-        """The chain as a process of one pair per state, whose number is its row."""
+        """The chain as a process with one pair in each state: pair k is that of state k."""
         return Moves(np.arange(self.size, dtype=np.int32), self.matrix, self.exits)
 
     @cached_property

@@ -106,7 +106,7 @@ class EnvironmentSSP(SSP):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GridSSP(EnvironmentSSP):
-    """The model of an environment whose state is coordinates; its states are cells of a grid."""
+    """A model of an environment with coordinates as states; the model's states are grid cells."""
 
     world: ContinuousModel = field(kw_only=True)
     is_goal: Callable[[Any], bool] = field(kw_only=True)  # of a point in which it terminates

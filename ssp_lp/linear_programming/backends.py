@@ -113,8 +113,8 @@ def answers_in_turn(
         program: the program.
         backend: one of BACKENDS; None: the one for the program's size.
         time_limit: seconds, for all backends together.
-        basis: basis of an answer to another program. If both programs have equally many columns and
-            rows, and ``backend`` requests no other, HiGHS's simplex comes first and starts from it.
+        basis: basis of an answer to another program. If both programs have the same shape, and
+            ``backend`` requests no other, HiGHS's simplex comes first and starts from it.
 
     Raises:
         ModelError: an unknown backend.
@@ -151,7 +151,7 @@ def run_backend(
 
     Raises:
         SolverError: the backend failed.
-        Stop: the deadline has passed, and so has the time of grace after it.
+        Stop: the deadline and the time of grace after it have passed.
     """
     if program.matrix.nnz < _LARGE or not sys.executable:
         return _backend_answer(program, backend, time_limit, basis)

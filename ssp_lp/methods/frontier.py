@@ -135,8 +135,9 @@ def trace_frontier(
             case S) rather than at the least failure, near which the price grows without bound.
         point_limit: stop splitting after this number of turning points. Segments with the largest
             gap are split first, and the frontier's ``gap`` is the one reached.
-        time_limit: seconds after which splitting stops, also within a pricing call; so does Ctrl-C.
-            The points found are kept, and ``open_segments`` lists where points may be missing.
+        time_limit: splitting stops after this many seconds, even within a pricing call. Ctrl-C
+            stops it, too. The points found are kept, and ``open_segments`` lists where points may
+            be missing.
         progress: called after each pricing call with (calls, turning points so far).
         verbose: show the progress (``ssp_lp.progress_shown``).
 

@@ -110,8 +110,8 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
 
     Args:
         solution: the solution to certify.
-        evaluation: evaluation of its policy. The bound of a quantile is at most the policy's own
-            value.
+        evaluation: evaluation of its policy. For a quantile, only thresholds below the policy's
+            value are tried, so the bound is at most this value.
     """
     problem, value, bound = solution.problem, evaluation.objective, 0.0
     question, risk = question_of(problem), _risk_of(problem)

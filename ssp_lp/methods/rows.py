@@ -128,10 +128,10 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 def _may_be_rarer(
     stated: CompiledExplicit, optimum: Optimum[CompiledExplicit], options: SolveOptions
 ) -> bool:
-    """Return whether the optimum improves if the goal is counted directly, not as 1 - failure.
+    """Return whether success is so rare that counting it directly gives a better optimum.
 
-    A second search counts the goal. Its rows are slightly tighter, so that no success is due to the
-    tolerance of a row.
+    The first search counts success as 1 - failure. A second one counts it directly, within slightly
+    tighter limits, so that the tolerance of a limit alone cannot make its optimum better.
     """
     if not stated.may_be_rare or optimum.gap <= options.tolerance or is_late():
         return False

@@ -90,7 +90,8 @@ class Boxes(Report, ReadOnlyCopies):
         The probability of error, 1 - ``confidence``, is divided equally among the intervals (union
         bound). A pair with one successor needs no interval. A pair with two successors needs one
         interval, since the other one is its complement. A successor without a row in the table of
-        counts is impossible: if it is possible but was never seen, add a row with count 0.
+        counts is taken to be impossible. For a possible successor that was never seen, add a
+        row with count 0.
 
         Args:
             model: model made by :meth:`ssp_lp.SSP.from_counts`.

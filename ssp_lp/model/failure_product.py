@@ -49,7 +49,7 @@ class FailureSSP(ProductSSP):
     open_pairs: BoolArray = field(kw_only=True)  # [original pairs] that may be taken after failing
     stops: BoolArray = field(kw_only=True)  # [states] where giving up ends the run
     charged: BoolArray = field(kw_only=True)
-    """Pairs of which the cheapest in a state sets the charge of failing there, [original pairs]."""
+    """Mask of pairs; the cheapest one in a state sets its charge of failing, [original pairs]."""
     free_pairs: BoolArray = field(kw_only=True)  # [2, original pairs] before and after failing
     charges: bool = field(kw_only=True, default=False)  # whether failing costs anything
     original_pair: IntArray = field(kw_only=True)  # [pairs]
@@ -108,7 +108,7 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def priced(self) -> BoolArray:
-        """Mask of pairs of which a state's cheapest is the charge of failing there, [pairs]."""
+        """Mask of pairs; the cheapest one in a state sets its charge of failing, [pairs]."""
         before = ~np.append(self.is_open, np.ones(self.n_original, dtype=np.bool_))
         return self.fails | (before[self.pair_state] & self.charged[self.original_pair])
 

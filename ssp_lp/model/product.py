@@ -335,7 +335,8 @@ def product(
 
     Returns:
         The product. Labels of the model's states are kept; states where the memory fails bear the
-        label "memory fails", goals that it does not accept "goal not accepted".
+        label "memory fails", and goals that it does not accept bear the label
+        "goal not accepted".
 
     Raises:
         ModelError: more states than the limit (a memory that grows without end), no goal that the

@@ -343,7 +343,7 @@ class SSP(Graph, ReadOnlyCopies):
             state: the column of the state in which the action is taken, or several columns, which
                 make a tuple.
             action: the column of the action.
-            successor: the column of the next state, or as many as ``state`` has.
+            successor: the column of the next state, or as many columns as ``state`` has.
             probability: the column of the probability.
             cost: the column of the cost, or several columns: the first one is the model's own cost,
                 and each can be limited, ``secondary_cost("fuel") <= 3``.
@@ -429,7 +429,7 @@ class SSP(Graph, ReadOnlyCopies):
             goal: the goal states.
             state: the column of the state, or several, as in :meth:`from_frame`.
             action: the column of the action.
-            successor: the column of the next state, or as many as ``state`` has.
+            successor: the column of the next state, or as many columns as ``state`` has.
             count: the column of the outcome's count, a whole number >= 0. A successor that is
                 possible but was never seen needs a row of count 0.
             cost: the column of the cost, or several columns, as in :meth:`from_frame`.
@@ -858,7 +858,7 @@ UNEXPLORED = "unexplored"
 
 
 class _NotExploredError(ModelError, AttributeError):
-    """An attribute of an implicit model needs every state, of which some are not explored."""
+    """An attribute of an implicit model needs every state, but some are not explored."""
 
 
 class ImplicitSSP(SSP):

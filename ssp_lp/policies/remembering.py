@@ -382,7 +382,7 @@ class LabelledPolicy(_Carried):
         return decision
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states with a decision before failing, or after it if ``memory`` says so."""
+        """Return the states with a decision: after failing if ``memory`` says so, else before."""
         failed = memory % len(self.digits) > 0
         return np.flatnonzero(self.product.is_open if failed else ~self.ended)
 
@@ -419,7 +419,7 @@ class LabelledPolicy(_Carried):
         taken = np.where(taking, product.giving_up_by(pairs), product.placed(here, pairs))
         if (taken < 0).any():
             pair_words = self.model.describe_pair(int(pairs[int(np.argmax(taken < 0))]))
-            raise ModelError(f"{pair_words} may lead to the goal: no policy takes it after failing")
+            raise ModelError(f"{pair_words} may reach the goal: after failing, take another action")
         moved = product.moved(taken, successors, costs)
         failed = product.after[moved]
         charge = product.costs[product.outcome_offsets[taken]]

@@ -369,8 +369,8 @@ def check_failure_setting(
     """Check the budget, discount, share, and the charge of the failing step.
 
     Raises:
-        ModelError: a budget or a share outside [0, 1], both of them, a discount outside (0, 1),
-            least failure together with a discount, or a charge that is not a bool.
+        ModelError: a budget or a share outside [0, 1], a budget together with a share, a discount
+            outside (0, 1), least failure together with a discount, or a charge that is not a bool.
     """
     check_flag("charge_failing_step", charge_failing_step)
     budgets = {"failure_budget": failure_budget, "reach_fraction": reach_fraction}

@@ -197,10 +197,11 @@ class OccupationMeasure:
         If the measure is a vertex of the program, there is at most one member more than there are
         rows that hold with equality; otherwise there may be more members.
 
-        The lottery has the objective and the failure of an optimal measure. Secondary costs may be
-        lower, and so may the cost of a measure that was found with another objective or other rows,
-        for two reasons. Visits of endless cycles belong to no policy that ends every run. A member
-        that can no longer reach the goal has failed, and pays nothing more.
+        If the measure is optimal, the lottery has its objective and its failure. The lottery's
+        secondary costs may be lower than the measure's. Its cost may be lower, too, if the measure
+        was found with another objective or other rows. There are two reasons: visits of endless
+        cycles belong to no policy that ends every run, and a member that can no longer reach the
+        goal has failed, and pays nothing more.
 
         If the visits satisfy flow balance only within a solver's tolerance, noise is removed. The
         noise level is the smallest one at which they are the visits of a policy.

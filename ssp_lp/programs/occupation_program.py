@@ -414,7 +414,7 @@ class OccupationProgram(Report):
             backend: "highs", "highs-simplex", "highs-ipx" or "cvxpy"; None: by size.
             time_limit: seconds.
             warm_start: the optimum at other bounds, costs or starts. HiGHS's simplex starts from it
-                if columns and rows have the same number; other backends do not use it.
+                if its program has the same shape; other backends do not use it.
 
         Raises:
             ModelError: an unknown backend.

@@ -160,7 +160,7 @@ class Nodes:
         program, x = self.program, self.state_of(node)
         stops = (x in program.giving_up) + (x in program.waiting)
         if not stops or (must_wait and x not in program.waiting):
-            raise SolverError("the answer is not proved: a policy gives up where it may not")
+            raise SolverError("the answer is not proved: a policy gives up where this is forbidden")
         return len(self.actions[x]) + stops - 1
 
     def state_of(self, node: int) -> int:

@@ -193,13 +193,13 @@ def test_totals_of_real_amounts_are_sums_and_too_many_are_named():
     amounts = secondary_cost(rng.random(SIX.n_outcomes) * 0.01)
     for unsafe in (within(amounts, 0.03) <= 0.5, 1.0 - exceeds(amounts, 0.03) <= 0.5):
         refused(
-            r"too many distinct totals.*rounding them up is safe only",
+            r"too many distinct totals.*rounded up automatically only",
             on_six,
             unsafe,
             error=ModelError,
         )
     refused(  # the bound of the objective needs amounts rounded the other way
-        r"too many distinct totals.*rounding them up is safe only for constraints",
+        r"too many distinct totals.*rounded up automatically only for limits",
         lambda: LeastQuantity(SIX, 0, quantity=1.0 - within(amounts, 0.03)).tracked,
         error=ModelError,
     )

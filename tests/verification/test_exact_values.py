@@ -217,7 +217,7 @@ def test_a_policy_that_stops_where_it_may_not(problem, decision):
     pair = -1 if decision is None else int(STAYS.pair_offsets[where])
     forged = DeterministicPolicy(STAYS, np.where(np.arange(STAYS.n_states) == where, pair, -1))
     forged = replace(honest, policy=MixedPolicy((forged,), np.ones(1)))
-    words = "the answer is not proved: a policy gives up where it may not"
+    words = "the answer is not proved: a policy gives up where this is forbidden"
     refused(words, certificate_of, forged, error=SolverError)
 
 

@@ -457,7 +457,7 @@ def distinct_words(names: Sequence[Hashable], other: str = r"[^A-Za-z0-9_.+-]+")
 
     Args:
         names: the names.
-        other: pattern of the characters that a word may not have.
+        other: pattern of the characters that a word must not have.
     """
     taken: set[str] = set()
     words = []
