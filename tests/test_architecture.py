@@ -253,7 +253,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 34_431),
+        (house.lines_in_all, 34_438),
         (house.public_classes, 273),
         (house.numeric_constants, 483),
         (house.questions_asked, 12),
@@ -292,10 +292,10 @@ LINES = {
     "ssp_lp/methods": 3_404,
     "ssp_lp/model": 3_486,
     "ssp_lp/plotting": 794,
-    "ssp_lp/policies": 1_477,
+    "ssp_lp/policies": 1_478,
     "ssp_lp/processes": 2_017,
     "ssp_lp/programs": 1_306,
     "ssp_lp/reductions": 446,
-    "ssp_lp/verification": 1_844,
+    "ssp_lp/verification": 1_850,
 }
 """Code lines of each folder."""

@@ -199,7 +199,8 @@ class CostAwarePolicy(Policy):
             return None
         farthest = levels[-2] + costs[moving].max(initial=0.0)
         asks = np.searchsorted(edges, self.tail_threshold, side="right") - 1
-        rank = np.where(self.tail_threshold > farthest, cap, asks)  # of a total beyond no layer
+        beyond_all = max(cap, len(edges))  # rank of a total that no layer exceeds
+        rank = np.where(self.tail_threshold > farthest, beyond_all, asks)
 
         def reached(total: FloatArray, nearest: IntArray | None = None) -> IntArray:
             """Return the layer that each total leads to, in the shape of ``total``."""

@@ -245,6 +245,13 @@ class Statement:
         """The model's states, as the checker reads them from their lines."""
         return [reading.read_state(line, self.question) for line in self.states]
 
+    @property
+    def scale(self) -> Fraction:
+        """Greatest cost of a step, at most 1 (1 if all are 0): caps are multiples of it."""
+        costs, exact = self.costs[0]
+        most = float(costs.max(initial=0.0))
+        return min(exact.get(most, Fraction(text_of(most))), Fraction(1)) or Fraction(1)
+
     def lines(self) -> list[bytes]:
         """Return the lines of the question and of the model, one for each state."""
         return [line_of(self.question), *self.states]
@@ -311,7 +318,7 @@ class Statement:
             if charge.offset - float(charge.at(np.array([float(most)]))[0]) <= _USED_UP * worth:
                 break
             most *= 2
-        totals = [t for t in goal_totals(self.question, self, most + 1) if t <= most]
+        totals = [t for t in goal_totals(self.question, self, most + self.scale) if t <= most]
         values = (sign * charge.at(np.array(list(map(float, totals))))).tolist()
         steps = [[">=", str(t), text_of(v), "0"] for t, v in zip(totals, values, strict=True)]
         if isinstance(charge, ExpectedArrivalCost):
@@ -482,7 +489,7 @@ def certificate_of(solution: Solution) -> list[bytes]:
     question, answer, done = statement.question, None, dict[str, Bounds]()
     if question["quantile"] is not None:
         near = Fraction(text_of(solution.objective))
-        totals = goal_totals(question, statement, near + 1)
+        totals = goal_totals(question, statement, near + statement.scale)
         answer = str(min(totals, key=lambda total: abs(total - near)))
     lines = [*statement.lines(), line_of({"answer": answer})]
     for step in reading.steps_of(question):
@@ -506,7 +513,8 @@ def _best_proof(
         solved: the solution, whose policies and prices start the search for a proof.
         step: name of the program: "least", "main", "late" or "from".
     """
-    cap = more = _first_cap(asked, solved)
+    scale = statement.scale
+    cap = more = _first_cap(asked, solved, scale)
     widths = [math.inf]
     for _ in range(_CAPS):
         nodes = Nodes(program_of(asked, statement, cap), len(statement.model))
@@ -514,7 +522,7 @@ def _best_proof(
         members = [nodes.member(_decider(nodes, one, solved)) for one in first]
         prices = _prices(nodes.program, solved, is_main=step == "main")
         proof, bounds = proof_of(nodes, members, prices)
-        widths.append(float(bounds.upper - bounds.lower) / (1 + abs(float(bounds.upper))))
+        widths.append(float((bounds.upper - bounds.lower) / (scale + abs(bounds.upper))))
         if len(widths) == 2 or widths[-1] < widths[-2]:
             best = proof, bounds
         if not asked["charge"] or widths[-1] <= _NARROW or widths[-1] > 0.9 * widths[-2]:
@@ -524,7 +532,7 @@ def _best_proof(
         if len(widths) > 2:
             ahead = math.log(widths[-1] / _AIM) / math.log(widths[-2] / widths[-1])
             more = min(max(more * Fraction(ahead), cap / 8), 3 * cap)
-        cap += math.ceil(more)
+        cap += math.ceil(more / scale) * scale
     return best
 
 
@@ -542,18 +550,18 @@ def _prices(program: Program, solved: Solution, *, is_main: bool) -> list[Fracti
     return prices
 
 
-def _first_cap(asked: Mapping[str, Any], solved: Solution) -> Fraction:
+def _first_cap(asked: Mapping[str, Any], solved: Solution, scale: Fraction) -> Fraction:
     """Return the first cap to try: the total cost from which on totals are not distinguished."""
     if not asked["charge"]:
         return Fraction(0)
-    cap = max(number(at) for _, at, _, _ in asked["charge"]) + 1
+    cap = max(number(at) for _, at, _, _ in asked["charge"]) + scale
     if len(asked["charge"]) == 1:
         cap = max(cap, 2 * Fraction(text_of(solved.objective)))
     for policy in solved.policy.policies:
         if isinstance(policy, CostAwarePolicy):
             last = policy.cap * policy.unit if policy.levels is None else policy.levels[-1]
             cap = max(cap, Fraction(float(last)))
-    return Fraction(math.ceil(cap))
+    return math.ceil(cap / scale) * scale
 
 
 def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:

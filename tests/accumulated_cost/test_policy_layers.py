@@ -15,6 +15,7 @@ from drawn_policies import CLOSE, drawn_model, drawn_policy
 from formulations import EGUBS, GUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR, MinCost
 from small_models import model_of
 from ssp_lp import (
+    SSP,
     CostAwarePolicy,
     MixedPolicy,
     ModelError,
@@ -302,3 +303,23 @@ def test_tails_begin_where_their_thresholds_say(seed):
     assert reached.goal_probability == pytest.approx(sum(law.values()), abs=1e-9)
     paid = sum(total * mass for total, mass in law.items())
     assert reached.success_cost == pytest.approx(paid, rel=1e-8)
+
+
+def test_more_tails_than_levels():
+    """One level, and tails from 2, from 3 and never: a total takes the tail of its own state."""
+    stop, on = [(1.0, "home", 1.0)], [(0.5, "home", 10.0), (0.5, "pit", 1.0)]
+    begin = {"go": [(1 / 3, "b", 2.0), (1 / 3, "c", 3.0), (1 / 3, "d", 4.0)]}
+    ways = {"a": begin} | {s: {"stop": stop, "on": on} for s in "bcd"}
+    model = SSP.from_transitions(ways, goal={"home"}, dead_ends={"pit"})
+    first, acts = model.pair_offsets[:-1], np.diff(model.pair_offsets) > 0
+    late = acts & (np.array(model.states) != "a")
+    tails = np.where(acts, [first, first + late], UNDECIDED)
+    threshold = np.full(model.n_states, np.inf)
+    threshold[[model.index_of("b"), model.index_of("c")]] = 2.0, 3.0
+    decision = np.where(acts, 0, UNDECIDED)[None]
+    policy = CostAwarePolicy(model, 2.0, decision, tails, threshold, levels=np.array([0.0, 2.0]))
+    problem = S3P(model, "a", 1.0)
+    start = start_distribution(model, "a")
+    reached = evaluation_of(layered_measures(policy, problem, start, least_nodes=0), problem)
+    assert reached.goal_probability == pytest.approx(1 / 6 + 1 / 6 + 1 / 3)
+    assert evaluate(policy, problem).goal_probability == pytest.approx(2 / 3)

@@ -583,3 +583,20 @@ def test_what_may_be_read_in_two_ways_is_refused(folder, tmp_path, name, line, o
     assert old in lines[line], lines[line]
     lines[line] = lines[line].replace(old, new, 1)
     assert words in read(lines, tmp_path / "x").reason
+
+
+@pytest.mark.parametrize("budget", [0.16, None])
+@pytest.mark.parametrize("unit", [1.0, 1e-7])
+def test_certificates_do_not_depend_on_the_unit_of_costs(unit, budget, tmp_path):
+    """A ring with c* = 20/7 units: caps follow the greatest cost of a step, not the number 1."""
+    ways = {
+        s: {
+            "on": [(0.5, "home", 3 * unit), (0.4, (s + 1) % 6, 2 * unit), (0.1, "ditch", unit)],
+            "wait": [(0.3, "home", unit), (0.65, s, unit), (0.05, "ditch", unit)],
+        }
+        for s in range(6)
+    }
+    model = SSP.from_transitions(ways, goal={"home"}, dead_ends={"ditch"})
+    written = write_certificate(solve(S3P(model, 0, budget)), tmp_path / "one")
+    assert float(written.upper) == pytest.approx(20 / 7 * unit, rel=1e-10)
+    assert 0 <= float(written.upper - written.lower) <= 1e-9 * float(written.upper)

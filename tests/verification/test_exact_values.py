@@ -262,7 +262,7 @@ def test_a_member_that_never_succeeds_takes_no_part_in_a_ratio():
 @pytest.mark.parametrize("cap", [1, 2, 5, 6, 11, 40])
 def test_a_way_beyond_the_cap_is_followed_to_its_end(cap, monkeypatch):
     """Two steps of 5, of which none, one or both end below the cap; and half of a loop of 1."""
-    monkeypatch.setattr(certificate_file, "_first_cap", lambda asked, solved: Fraction(cap))
+    monkeypatch.setattr(certificate_file, "_first_cap", lambda *given: Fraction(cap))
     way = {"x": {"on": [(1.0, "y", 5.0)]}, "y": {"on": [(1.0, "g", 5.0)]}}
     loop = {"x": {"go": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}}
     for table, known in ((way, 10), (loop, 2)):
@@ -275,7 +275,7 @@ def test_a_way_beyond_the_cap_is_followed_to_its_end(cap, monkeypatch):
 @pytest.mark.parametrize("cap", [1, 4, 20])
 def test_a_policy_that_waits_beyond_the_cap(cap, monkeypatch):
     """It pays 3 and rests for ever; the other one goes on, and arrives with 1/2 for 4."""
-    monkeypatch.setattr(certificate_file, "_first_cap", lambda asked, solved: Fraction(cap))
+    monkeypatch.setattr(certificate_file, "_first_cap", lambda *given: Fraction(cap))
     model = model_of({"x": {"on": [(1.0, "y", 3.0)]}, "y": REST_OR_GO, "d": {}})
     honest = solve(S3P(model, "x", 0.75))
     rests = DeterministicPolicy.from_actions(model, {"x": "on", "y": "stay"})
@@ -289,7 +289,7 @@ def test_a_policy_that_waits_beyond_the_cap(cap, monkeypatch):
 @pytest.mark.parametrize("cap", [1, 2, 4, 20])
 def test_what_exceeds_the_cap_waits_where_its_node_does(cap, monkeypatch):
     """Half of the runs arrive for 3, the others come to where one may rest for ever for nothing."""
-    monkeypatch.setattr(certificate_file, "_first_cap", lambda asked, solved: Fraction(cap))
+    monkeypatch.setattr(certificate_file, "_first_cap", lambda *given: Fraction(cap))
     table = {"x": {"on": [(0.5, "g", 3.0), (0.5, "y", 3.0)]}, "y": REST_OR_GO, "d": {}}
     model = model_of(table)
     honest = solve(S3P(model, "x", 0.5))

@@ -248,7 +248,7 @@ def test_caps_rise_until_the_interval_is_narrow(widths, best, monkeypatch):
     """
     caps, programs = [], iter(widths)
     solution = solve(S3P(ROAD, "road", 0.05))
-    monkeypatch.setattr(files, "_first_cap", lambda asked, solved: Fraction(3))
+    monkeypatch.setattr(files, "_first_cap", lambda *given: Fraction(3))
     program_of = files.program_of
     monkeypatch.setattr(
         files, "program_of", lambda asked, statement, cap: caps.append(cap) or program_of(
@@ -292,7 +292,7 @@ def test_the_first_cap_reaches_the_steps_of_the_charge(problem):
     line, step = [">=", "0", "0", "1"], [">", "7.5", "0", "0"]
     twice = 2 * Fraction(str(solution.objective))
     for charge, least in (([], 0), ([line], twice), ([line, step], Fraction(17, 2))):
-        cap = files._first_cap({"charge": charge}, solution)
+        cap = files._first_cap({"charge": charge}, solution, Fraction(1))
         assert cap.denominator == 1
         last = max((policy.cap * float(policy.unit) for policy in solution.policy.policies
                     if isinstance(policy, CostAwarePolicy)), default=0.0)  # fmt: skip
