@@ -358,7 +358,6 @@ class LayeredPricing(PricingProblem):
 
 _NEARLY = 1.25  # first cap of a trial by sums, in costs given success of a way to the goal
 
-_LONG_SWEEP = 10_000_000  # entries of all layers of a sweep that takes longer than case M
 _MOST_LAYERS = 100_000
 """Most layers of a charge that never settles; the gap that remains is reported."""
 
@@ -443,20 +442,6 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def is_long_shot(self) -> bool:
-        """Whether the easily found policy to the goal gives no cap, or too high a first cap.
-
-        A cap is too high if a sweep up to it takes longer than solving case M, whose price gives a
-        lower one.
-        """
-        if self._has_long_runs or self.layer.by_sums or not self.is_trial:
-            return self._has_long_runs
-        layers = self._first_cap()
-        if layers <= MOST_STEPS or layers * self.layer.base.later.nnz <= _LONG_SWEEP:
-            return False
-        return not self._always_hopes
-
-    @cached_property
-    def _has_long_runs(self) -> bool:
         """Whether runs of the easily found policy to the goal are too long to give a cap."""
         layer, facts = self.layer, self.facts
         is_guess = self.cap is None and self.fixed_cap is None and self.tails is Tails.ANY_WAY
@@ -475,7 +460,7 @@ class CompiledLayered(CompiledProblem):
     def _has_exact_tails(self) -> bool:
         """Whether the tails are the policies of least failure, by request or by necessity."""
         merged = self.layer.base.quotient.merged
-        return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self._has_long_runs
+        return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self.is_long_shot
 
     @cached_property
     def is_lossy(self) -> bool:
