@@ -1,6 +1,6 @@
 """Case S for costs without a common unit: all possible sums of costs, or multiples of a unit.
 
-A windy field is crossed with a diagonal step of 1.4, 1.41 or sqrt(2), or with prices drawn between
+A windy field is crossed with a diagonal step of 1.4, 1.41 or sqrt(2), or with costs drawn between
 0.5 and 2. If the possible sums of costs are few, all of them are distinguished, and the answer is
 exact. If they are too many, every cost is split between two multiples of a unit, and the answer
 lies between two bounds, whose distance falls with the unit.
@@ -25,11 +25,11 @@ LAWS: dict[str, dict[str, float] | int] = {
     "1.4": {"diagonal": 1.4},
     "1.41": {"diagonal": 1.41},
     "sqrt(2)": {"diagonal": 2**0.5},
-    "3 prices": 3,
-    "10 prices": 10,
-    "1000 prices": 1000,
+    "3 costs": 3,
+    "10 costs": 10,
+    "1000 costs": 1000,
 }
-"""Cost of a diagonal step, or number of prices that are drawn."""
+"""Cost of a diagonal step, or number of costs that are drawn."""
 
 
 def field(size: int, law: str) -> Domain:
@@ -67,9 +67,9 @@ def report(sizes: Sequence[int], time_limit: float) -> None:
 
 
 def report_levels(size: int) -> None:
-    """Print the gap for a thousand prices by the number of levels."""
-    model, start = field(size, "1000 prices")
-    print(f"\nsize {size}, 1000 prices: the gap by the number of cost levels")
+    """Print the gap for a thousand costs by the number of levels."""
+    model, start = field(size, "1000 costs")
+    print(f"\nsize {size}, 1000 costs: the gap by the number of cost levels")
     print(f"{'levels':>7} {'lower bound':>12} {'objective':>12} {'gap':>8} {'seconds':>8}")
     for levels in LEVELS:
         began = perf_counter()

@@ -349,6 +349,6 @@ def least_of(lower_bound: float, objective: float) -> float:
     if lower_bound > objective + CONTRADICTION * max(abs(objective), abs(lower_bound)) + _TINY:
         raise SolverError(
             f"the value of a policy, {objective!r}, lies below the lower bound of all policies, "
-            f"{lower_bound!r}: runs are too long for double precision; try a discount"
+            f"{lower_bound!r}: the model is too ill-conditioned for double precision"
         )
     return min(lower_bound, objective)

@@ -490,7 +490,7 @@ class CompiledLayered(CompiledProblem):
         """The process, truncated at the cap."""
         layer, cap = self.layer, self._first_cap() if self.cap is None else self.cap
         base = layer.base
-        if not layer.by_sums and (cap + base.width) * base.n_nodes > MOST_ENTRIES:
+        if not self.fits(cap):
             raise ModelError(
                 f"too many layers of accumulated cost ({cap:.6g} of unit {base.unit:g}, on "
                 f"{base.n_nodes:,} states): use a coarser grid of costs or a smaller "
@@ -507,6 +507,11 @@ class CompiledLayered(CompiledProblem):
         else:
             tails = layer.simple_tails
         return LayeredProcess(base, totals, tails, self.charge)
+
+    def fits(self, cap: float) -> bool:
+        """Return whether layers up to a cap, in units, are few enough; sums are limited later."""
+        base = self.layer.base
+        return self.layer.by_sums or (cap + base.width) * base.n_nodes <= MOST_ENTRIES
 
     def _first_cap(self) -> float:
         """Return the first cap, in units: the layers that are always needed, plus a guess."""
@@ -586,10 +591,7 @@ class CompiledLayered(CompiledProblem):
                 wanted, tails = lossless, self.tails if self.is_trial else tails
             elif not exact:
                 wanted = here
-        if layer.by_sums:
-            fits = layer.totals(wanted) is not None
-        else:
-            fits = (wanted + layer.base.width) * layer.base.n_nodes <= MOST_ENTRIES
+        fits = layer.totals(wanted) is not None if layer.by_sums else self.fits(wanted)
         if exact and not self.is_trial and not (fits and here < wanted):
             return None
         if not fits:

@@ -336,8 +336,9 @@ class _WithinBudget(_Question):
         compiled = self.compiled.charging(charge)
         if kappa <= 0.0 or self.budget is None:
             return compiled
-        room = 2.0 if compiled.is_lossy else 1.0  # the bound beyond the cap is loose
-        return self.compiled.charging(charge, room * compiled.lossless_units(kappa))
+        cap = compiled.lossless_units(kappa)
+        doubled = compiled.is_lossy and compiled.fits(2.0 * cap)  # the bound beyond it is loose
+        return self.compiled.charging(charge, 2.0 * cap if doubled else cap)
 
     def share(self, proof: Proof) -> float:
         """Return the lower bound of E[charge | goal] that a proof implies."""

@@ -68,7 +68,7 @@ _ENDS_THERE = "if runs end there, name it in dead_ends; the states:"
 _UNHASHABLE = "list, dict, set or array: write tuple(array.tolist())"
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
-MOST_COST = 1e150  # its square is still finite
+_MOST_COST = 1e150  # its square is still finite
 _NO_REWARDS = (
     "costs must be >= 0 (rewards? pass costs=-rewards; a constant added to every step changes "
     "the problem)"
@@ -1211,14 +1211,14 @@ def _checked_probabilities(model: SSP, normalise: bool = False) -> FloatArray:
         normalise: accept sums that differ from 1 by up to 1e-5 (single precision), not 1e-9.
 
     Raises:
-        ModelError: a number that is not finite and >= 0, a cost above ``MOST_COST``, a pair without
+        ModelError: a number that is not finite and >= 0, a cost above 1e150, a pair without
             outcomes, or one whose probabilities do not sum to one.
     """
     _check_numbers(model, model.probabilities, "probability")
     for name, costs in [*model.named_costs.items(), ("", model.costs)]:
         paid = costs[:1] if costs.strides == (0,) else costs  # one number for all
         _check_numbers(model, paid, f"cost {name!r}" if name else "cost", f": {_NO_REWARDS}")
-        _refuse_outcomes(model, paid > MOST_COST, "has a cost above 1e150: use a larger unit")
+        _refuse_outcomes(model, paid > _MOST_COST, f"has a cost above {_MOST_COST:g}: rescale")
     offsets, chances = model.outcome_offsets, model.probabilities
     empty = offsets[1:] == offsets[:-1]
     if empty.any():

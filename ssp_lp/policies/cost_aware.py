@@ -210,8 +210,9 @@ class CostAwarePolicy(Policy):
 
         passed = np.where(moving, reached(costs), 1)
         is_even = _evenly_spaced(levels, costs[moving])
-        even = max(cap - 1 - int(passed.max(initial=0)), 0) if is_even else 0
-        even = cap if is_even and not edges.size else even  # one tail for all layers beyond
+        # with one tail for all layers beyond the cap, all levels lead on alike
+        alike = max(cap - 1 - int(passed.max(initial=0)), 0) if edges.size else cap
+        even = alike if is_even else 0
 
         def leads(level: int) -> IntArray:
             """Return by how many layers a step of each cost moves up from a level, [costs]."""

@@ -340,7 +340,7 @@ def test_finer_units_bring_the_bounds_together_and_a_thousand_prices_are_soon_se
 
 @pytest.mark.slow
 def test_little_time_for_many_sums_gives_a_certified_answer_on_a_grid():
-    problem = S3P(*real_costs.field(24, "3 prices"), 0.3)
+    problem = S3P(*real_costs.field(24, "3 costs"), 0.3)
     assert not is_split(problem)
     found = solve(problem, time_limit=2.0)
     assert found.gap < 0.1

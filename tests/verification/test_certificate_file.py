@@ -37,7 +37,17 @@ from formulations.command_line import main
 from mazes import MAZE
 from references.stated import optimum
 from refusing import refused
-from small_models import FIRST, FREE_LOOP, FREE_PAIR, PAYING_LOOP, TRIES, TWO_MOVES, model_of
+from small_models import (
+    FIRST,
+    FREE_LOOP,
+    FREE_PAIR,
+    PAYING_LOOP,
+    ROAD,
+    TRIES,
+    TWO_MOVES,
+    model_of,
+    patience,
+)
 from ssp_lp import (
     SSP,
     DeterministicPolicy,
@@ -61,13 +71,6 @@ from ssp_lp.formulation import Formulation
 from ssp_lp.processes import failure_label, failure_semantics
 from ssp_lp.verification import certificate_lines, exact_proof, expand, prove
 
-ROAD = model_of(
-    {
-        "road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)], "safe": [(1.0, "home", 3.0)]},
-        "ditch": {},
-    },
-    "home",
-)
 THIRDS = model_of(
     {"x": {"go": [(1 / 3, "g", Fraction(1, 3)), (1 / 3, "x", 0.1), (1 / 3, "d", 0.7)]}, "d": {}}
 )
@@ -97,11 +100,6 @@ ROBOT = published("prism_robot_goal1", "time")[0]
 FUEL = {"road": {"fast": 4.0, "safe": 1.0}}
 TIMELY = end_probability("out of time")
 DITCH, CHEAP = end_probability("ditch"), {"c": expected_cost() <= 2.5}
-
-
-def patience(cost):
-    """A utility that is used up at 4."""
-    return np.maximum(1.0 - cost / 4.0, 0.0)
 
 
 def squares():

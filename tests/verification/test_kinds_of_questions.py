@@ -28,7 +28,7 @@ from formulations import (
 )
 from mazes import MAZE
 from references.stated import optimum
-from small_models import FIRST, FREE_LOOP, FREE_PAIR, PAYING_LOOP, TRIES, model_of
+from small_models import FIRST, FREE_LOOP, FREE_PAIR, PAYING_LOOP, TRIES, model_of, patience
 from ssp_lp import (
     check_certificate,
     cross_check,
@@ -88,11 +88,6 @@ THIRDS = model_of(
 FEW = {"few": end_probability("hurt") <= 0.06}
 MIXED_PITS = {"x": 0.75, "g": 0.25}
 MIXED = {"start": 0.5, "town": 0.25, "goal": 0.25}
-
-
-def patience(cost):
-    """A utility that is used up at 4."""
-    return np.maximum(1.0 - cost / 4.0, 0.0)
 
 
 PROBLEMS = {

@@ -25,7 +25,7 @@ from formulations import (
     MinProb,
 )
 from refusing import refused
-from small_models import FIRST, model_of
+from small_models import FIRST, ROAD, model_of, patience
 from ssp_lp import (
     SSP,
     MixedPolicy,
@@ -49,19 +49,7 @@ from ssp_lp.verification import certificate_file as files, certificate_lines as 
 from ssp_lp.verification.certificate_file import Checked, Statement, text_of
 from ssp_lp.verification.prove import Bounds
 
-ROAD = model_of(
-    {
-        "road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)], "safe": [(1.0, "home", 3.0)]},
-        "ditch": {},
-    },
-    "home",
-)
 FUEL = {"road": {"fast": 4.0, "safe": 1.0}}
-
-
-def patience(cost):
-    """A utility that is used up at 4."""
-    return np.maximum(1.0 - cost / 4.0, 0.0)
 
 
 CHARGED = "give_up attention; the failing step charged"

@@ -2,6 +2,7 @@
 
 from fractions import Fraction
 
+import numpy as np
 import pytest
 
 from ssp_lp import SSP
@@ -45,6 +46,15 @@ TRIES = model_of(
 )
 """One tries until it works, or waits at the door."""
 
+ROAD = model_of(
+    {
+        "road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)], "safe": [(1.0, "home", 3.0)]},
+        "ditch": {},
+    },
+    "home",
+)
+"""A fast way that fails once in ten times, and a safe way of three times the cost."""
+
 AWKWARD = model_of(
     {
         ("s", 1): {
@@ -63,3 +73,8 @@ AWKWARD = model_of(
 
 ALONE = model_of({})
 """Nothing but a goal."""
+
+
+def patience(cost):
+    """A utility that is used up at 4."""
+    return np.maximum(1.0 - cost / 4.0, 0.0)
