@@ -223,9 +223,9 @@ def _lattice_attempts(
 def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove a bound by split or rounded costs, from the model alone.
 
-    Units get smaller until the gap is within the tolerance, or as small as the solution's own gap.
-    That gap serves as a stopping rule alone. With split costs the proof also stops when a smaller
-    unit hardly improves the bound.
+    Units get smaller until the gap is within the tolerance or hardly larger than the solution's own
+    gap, which only serves to stop. With split costs the proof also stops when a smaller unit hardly
+    improves the bound.
 
     Args:
         solution: a solution of a problem with split or rounded costs.
@@ -313,8 +313,8 @@ def _true_columns(problem: Problem, outcome: Optimum[Any]) -> list[Column]:
 def _true_column(problem: Problem, outcome: Optimum[Any], policy: Policy) -> Column:
     """Evaluate on the true model a policy that was found with split costs.
 
-    There the policy remembers the cost paid rounded to the nearest level. Levels are multiples of
-    the unit, or of a fraction of it if the cheapest step would otherwise round to 0.
+    On the true model the policy remembers the cost paid, rounded to the nearest level. Levels are
+    multiples of the unit or, if the cheapest step would round to 0, of a fraction of the unit.
     """
     if isinstance(policy, CostAwarePolicy):
         unit, most = _unit_of(outcome), problem.cost_levels
@@ -347,9 +347,9 @@ def _true_column(problem: Problem, outcome: Optimum[Any], policy: Policy) -> Col
 def _columns_beside(problem: Problem, outcome: Optimum[Any], shift: float) -> list[Column]:
     """Return columns on both sides of the budget, evaluated on the true model.
 
-    The sweep of the first column also found policies of other failure probabilities. Rounding
-    changes the failure of all of them by about the same amount. So the policies are taken whose
-    failure, after this change, should be just below and just above the budget.
+    The sweep that found the first column also found policies of other failure probabilities.
+    Rounding changes all these failure probabilities by about ``shift``. The policies returned are
+    those whose failure plus ``shift`` lies just below or just above the budget.
 
     Args:
         problem: a problem of case S.
@@ -672,11 +672,11 @@ def lattice_bound(
 def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     """Return a policy of the model with costs rounded up as a policy of the model itself.
 
-    It remembers the sum of the rounded costs. A policy without memory gets one layer, so that its
-    costs are evaluated as rounded, too.
+    The result remembers the sum of the rounded costs. A policy without memory gets one layer, so
+    that it is evaluated with rounded costs as well.
 
     Raises:
-        ModelError: its memory is not the cost paid.
+        ModelError: the policy has a memory other than the cost paid.
     """
     if isinstance(policy, CostAwarePolicy):
         return replace(policy, model=model, rounds_up=True)
