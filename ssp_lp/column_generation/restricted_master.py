@@ -228,7 +228,8 @@ class ExactSimplex:
     def solved(self, basis: Sequence[int]) -> list[int] | None:
         """Return an optimal basis, [rows], by simplex steps from a given basis.
 
-        The result is None if there is none, or if a basis is neither primal nor dual feasible.
+        The result is None if there is no optimal basis, or if a basis on the way is neither primal
+        nor dual feasible.
         """
         basis = list(basis)
         for _ in range(_MOST_STEPS):
@@ -276,7 +277,7 @@ def _dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
 
 
 def _solved(rows: Sequence[Sequence[Fraction]], right: Sequence[Fraction]) -> list[Fraction]:
-    """Solve linear equations in fractions; ZeroDivisionError: they are singular."""
+    """Solve linear equations in fractions; raise ZeroDivisionError if they are singular."""
     table = [[*row, b] for row, b in zip(rows, right, strict=True)]
     for k in range(len(table)):
         pivot = next((i for i in range(k, len(table)) if table[i][k]), k)
