@@ -119,7 +119,7 @@ class Charge(ABC):
 
     @property
     def is_concave(self) -> bool:
-        """Whether the charge is concave: linear interpolation never exceeds it."""
+        """Whether the charge is concave, so that linear interpolation never exceeds it."""
         return False
 
     @abstractmethod
@@ -137,7 +137,7 @@ class Charge(ABC):
         return bool(np.isclose(float(self.at(np.array([total]))[0]), line, rtol=1e-9))
 
     def lossless(self, price: float) -> float:
-        """Return the total at which the affine part reaches a price of failing; 0 if flat."""
+        """Return the total at which the affine part equals a price of failing; 0 if it is flat."""
         return max((price - self.offset) / self.slope, 0.0) if self.slope > 0.0 else 0.0
 
     def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
@@ -241,7 +241,7 @@ class Measure(ABC):
 
     @property
     def charge(self) -> Charge:
-        """The charge whose expectation is the measure, or the first one of a search."""
+        """The charge whose expectation is the measure, or with which a search for it begins."""
         return TOTAL_COST
 
     @abstractmethod
@@ -250,7 +250,7 @@ class Measure(ABC):
 
 
 class Reward(Charge, Measure):
-    """A maximised expectation; its charge is the worth of failing minus that of success."""
+    """A maximised expectation. As a charge it is the worth of failing minus that of success."""
 
     maximised = is_expectation = True
 
@@ -261,7 +261,7 @@ class Reward(Charge, Measure):
 
     @property
     def charge(self) -> Charge:
-        """The reward itself."""
+        """This object, which is a charge as well."""
         return self
 
 
@@ -339,8 +339,8 @@ class ExpectedUtility(Reward):
 class ExponentialUtility(Reward):
     """E[exp(rate * total cost); goal] + bonus * Pr(goal), rate < 0 (eGUBS).
 
-    The utility of a sum of costs is the product of their utilities, so that the worth of following
-    a tail is exact at every cost paid before.
+    The utility of a sum of costs is the product of their utilities. So the expected utility of a
+    tail policy is known exactly, whatever cost was paid before.
     """
 
     rate: float

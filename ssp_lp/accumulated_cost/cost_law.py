@@ -54,8 +54,8 @@ class CostLaw:
 
     Very unlikely sums are rounded up. If there are too many likely sums, every cost is rounded up,
     by less than a two-thousandth of the mean. If the policy itself rounds costs up to a finer unit,
-    this unit is used. Rounding never understates a total, quantile, excess or late arrival, and
-    never overstates a utility.
+    this unit is used. Rounding never understates a total, a quantile, an excess or the probability
+    to exceed a bound, and never overstates a utility.
     """
 
     _chains: tuple[Chain, ...]  # chains of the members of the lottery
@@ -247,7 +247,7 @@ class CostLaw:
 
     @explained
     def all_but(self, mass: float) -> Atoms:
-        """Return the atoms in order of cost, without the last ones of at most ``mass`` together.
+        """Return the atoms in order of cost, without the last ones, whose sum is at most ``mass``.
 
         Raises:
             ModelError: the mass is not above 0.

@@ -436,7 +436,7 @@ class Sweep:
 
         Args:
             priced: costs to minimise.
-            sizes: whether the sizes are needed; if not, they may be wrong.
+            sizes: whether the sizes are needed; if not, the function may return wrong ones.
         """
         process, (owed, saved), weight = self.process, priced[:2], priced.charged
         alone = np.maximum(owed, saved)

@@ -240,7 +240,7 @@ def room_of(steps: FloatArray, cap: float) -> float:
 
 
 def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """Return the sums of step costs below a cap, increasing; None: more than ``most``."""
+    """Return the sums of step costs below a cap, increasing; None if more than ``most``."""
     moves, sums, room = steps[1:], np.zeros(1), room_of(steps, cap)
     if moves.size and cap > (most + 1) * float(moves[0]):
         return None  # the multiples of the cheapest step are too many
@@ -410,8 +410,8 @@ class Totals:
     def beyond(self) -> FloatArray:
         """The totals from the cap on that steps from below the cap reach, increasing, [beyond].
 
-        If ``complete``, all sums above the last total below the cap are included, even if they are
-        below the cap: no run reaches them, but every layer has all pairs.
+        If ``complete``, they include the sums between the last layer and the cap. No run reaches
+        these sums, but the tables have an entry for every step from every layer.
         """
         if self.unit is not None:
             return totals_of(self.size + np.arange(len(self.steps) - 1), self.unit)
@@ -510,13 +510,17 @@ class Resolution:
         return Totals(read_only(np.linspace(0.0, cap, size + 1)), steps)
 
     def up_to(self, total: float) -> Resolution:
-        """Return the resolution; without a cap, cap it above a total where failing is optimal."""
+        """Return the resolution; if it has no cap, its cap becomes a little more than ``total``.
+
+        Args:
+            total: accumulated cost from which failing is optimal; 0: unknown.
+        """
         return replace(self, cap=CAP_MARGIN * total) if self.cap is None and total > 0.0 else self
 
     def finer(self, totals: Totals, enough: float | None, most: int) -> Resolution | None:
         """Return a resolution with a higher cap or a finer grid.
 
-        None: no more totals fit into memory, or more totals would not help.
+        The result is None if no more totals fit into memory, or if more totals would not help.
 
         Args:
             totals: the present totals.
