@@ -80,7 +80,7 @@ def extreme_reach(
 ) -> ExtremeReach:
     """Compute the greatest or least probability of leaving by the exit ``hit``, from every state.
 
-    Every policy must leave the process: it has no end components, or they are collapsed.
+    The process must not have end components, so that every policy leaves it.
 
     Args:
         dynamics: the process.
@@ -89,7 +89,7 @@ def extreme_reach(
         greatest: whether to maximise; else the probability is minimised.
         start: positive in the states in which the bound must be tight, [states]; None: all.
         last_digits: whether all pairs that attain the extreme are needed. If not, sweeps may
-            enclose the greatest probability between two bounds. If the time then ends, the best
+            enclose the greatest probability between two bounds, and if the time ends, the best
             policy found so far is returned.
 
     Raises:
@@ -333,7 +333,13 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
 def _with_pairs(
     dynamics: Dynamics, tied: BoolArray, choice: IntArray
 ) -> tuple[IntArray, Dynamics, IntArray]:
-    """Return the tied pairs, the dynamics with only these, and the policy's pairs in it."""
+    """Return the tied pairs, the dynamics restricted to these, and the policy's pairs among these.
+
+    Args:
+        dynamics: the process.
+        tied: mask of the pairs to keep, [pairs].
+        choice: a policy of such pairs, [states].
+    """
     kept = tied.nonzero()[0]
     place = np.full(len(tied), -1, dtype=np.int32)
     place[kept] = np.arange(kept.size)
