@@ -352,7 +352,7 @@ class _Tree:
         return _Neighbours(self.process, np.full(self.process.n_states, -1))
 
     def _proved(self, rewards: FloatArray, column: Column) -> float:
-        """Return a lower bound of the objective, certified at the price that found a column."""
+        """Return a certified lower bound of the objective, at the price of an optimal column."""
         process, weights = self.process, np.array([1.0, column.tail_price, 0.0])
         priced, values = weighted(rewards, weights), weighted(required(column.totals), weights)
         priced -= LOST * priced  # a bound rounds down

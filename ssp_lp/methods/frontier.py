@@ -482,7 +482,6 @@ class _TraceLimits:
             raise wrong_argument("steepest_price", "be a positive number", steepest)
 
     def report(self, calls: int, points: int) -> None:
-        """Call the progress callback, if any."""
         if self.progress is not None:
             self.progress(calls, points)
 
@@ -506,7 +505,6 @@ class _ColumnPoints:
     proofs: dict[tuple[float, bool], Proof] = field(default_factory=dict)  # by price and slack
 
     def policy(self, point: int) -> Policy:
-        """Return the policy of a turning point."""
         return self.pricing.policy(self.columns[point])
 
     def proved(
@@ -577,7 +575,6 @@ class _OptimumPoints:
     is_failure: bool  # whether the bounds are failure budgets
 
     def policy(self, point: int) -> MixedPolicy:
-        """Return the lottery of a turning point."""
         return self.policies[point]
 
     def proved(
@@ -729,7 +726,6 @@ class _Columns:
         return p, column, q
 
     def frontier(self) -> Frontier:
-        """Return the frontier through all points."""
         columns = self.points
         spent, goal, cost = np.array([(c.failure, c.goal, c.cost) for c in columns]).T
         light = tuple(replace(column, totals=None) for column in columns)

@@ -132,7 +132,6 @@ def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
 
 
 def _objective_word(problem: Problem, compiled: CompiledExplicit) -> str:
-    """Return a short name of the objective."""
     semantics = problem.semantics
     if compiled.objective is not None:
         return "objective"

@@ -160,9 +160,7 @@ class _WithGap(Protocol):
     """An optimum or a proved bound from one process, with its gap."""
 
     @property
-    def gap(self) -> float:
-        """Relative gap between value and bound."""
-        ...
+    def gap(self) -> float: ...
 
 
 _Attempt = TypeVar("_Attempt", bound=_WithGap)

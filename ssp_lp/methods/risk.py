@@ -129,7 +129,6 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
 
 
 def _risk_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
-    """Return the risk measure of a problem that has one."""
     return cast("CostQuantileOf | TailMeanOf", problem.semantics.risk)
 
 
@@ -313,7 +312,7 @@ class _WithinBudget(_Question):
         """Return a function from a threshold's number to a lower bound of Pr(C > B | goal).
 
         If layers are multiples of a unit, one backward sweep gives all bounds: a run exceeds a
-        threshold if it exceeds the greatest one after beginning at the difference of the two.
+        smaller threshold B if, begun at total ``greatest - B``, it exceeds the greatest threshold.
         """
         if self.compiled.layer.by_sums:
             return super().late_shares(number, guess)
@@ -520,7 +519,7 @@ def _last_refuted(question: _Question, trial: _Trial, level: float, first: int, 
 
     Args:
         question: the feasible policies.
-        trial: has the prices; its own threshold may be any.
+        trial: gives the prices; the threshold of the trial does not matter.
         level: level of the quantile, in (0, 1).
         first: number of a refuted threshold.
         last: only smaller numbers are considered.
@@ -590,8 +589,8 @@ class _TailMeanSearch:
         """Return a lower bound of F (see the module) on all thresholds from first to last.
 
         The bound is proved at a price of failure that is interpolated between known ones. If the
-        budget is slack at a tried threshold nearby, ``target`` serves as another price: it suffices
-        to prove the target.
+        budget is slack at a tried threshold nearby, it is also proved at the price ``target``,
+        which is enough to reach the target.
         """
         places, middle = self.question.thresholds, (first + last) // 2
         charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))

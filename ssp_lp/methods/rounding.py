@@ -223,9 +223,9 @@ def _lattice_attempts(
 def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove a bound by split or rounded costs, from the model alone.
 
-    Units get smaller until the gap is within the tolerance or hardly larger than the solution's own
-    gap, which only serves to stop. With split costs the proof also stops when a smaller unit hardly
-    improves the bound.
+    Units get smaller until the gap is within the tolerance, or hardly larger than the gap that the
+    solution claims. This claim only decides when to stop. With split costs the proof also stops
+    when a smaller unit hardly improves the bound.
 
     Args:
         solution: a solution of a problem with split or rounded costs.
@@ -262,7 +262,7 @@ def _split_proofs(
 
 
 def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
-    """Return the best lottery on the true model of the policies found with one unit."""
+    """Return the best lottery of policies found with one unit, evaluated on the true model."""
     row, least, columns, found = outcome.row, outcome.least, list[Column](), None
     pricing = outcome.compiled.pricing()
     pricing = pricing.counting_success() if row.by_goal else pricing
@@ -521,9 +521,10 @@ def split_optimum(
     most: int | None = None,
     reach: float = np.inf,
 ) -> Optimum[Any]:
-    """Return the optimum with costs split on a unit, or on a larger one if it has too many layers.
+    """Return the optimum with costs split on a unit, or on a larger unit to save layers.
 
-    If no larger unit has few enough layers either, accumulated cost is capped.
+    If the larger units that are tried have more than ``most`` layers, too, the accumulated cost is
+    capped.
 
     Args:
         problem: a problem of case S.
@@ -556,7 +557,6 @@ def split_optimum(
 
 
 def _unit_of(outcome: Optimum[Any]) -> Fraction:
-    """Return the cost unit of an optimum's process."""
     return cast("CompiledLayered", outcome.compiled).layer.base.exact_unit
 
 
