@@ -266,7 +266,7 @@ class LayeredPricing(PricingProblem):
         """Return the column of a choice.
 
         Args:
-            totals: charge, failure and goal of the live part of the start, [3].
+            totals: charge, failure and goal of episodes that begin with a step, [3].
             choice: [cap, nodes].
             tail_price: price of failure at which the tails beyond the cap are chosen.
             backups: number of layer backups in the search for the choice.
@@ -444,7 +444,7 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def is_long_shot(self) -> bool:
-        """Whether a quickly found policy to the goal takes too many steps to choose a cap by it."""
+        """Whether the quickly found policy to the goal has runs too long to derive a cap from."""
         layer, facts = self.layer, self.facts
         is_guess = self.cap is None and self.fixed_cap is None and self.tails is Tails.ANY_WAY
         if not is_guess or layer.base.quotient.merged.any():

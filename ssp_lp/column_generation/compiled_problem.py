@@ -378,8 +378,8 @@ _LEAST = 1e-12  # relative rounding of the goal probability that all safest poli
 class LayerAndTails:
     """The pattern of one layer of accumulated cost, and the tail policies beyond the cap.
 
-    All layers have this pattern, so problems that differ only in their cap share the object. So do
-    problems that differ in their charge, except exponential utilities, which have other tails.
+    All layers have this pattern. One object therefore serves problems that differ only in the cap
+    or the charge, except exponential utilities, which have other tails.
     """
 
     facts: GoalFacts
@@ -755,7 +755,6 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def _pricing(self) -> ExplicitPricing | OpenEndedPricing:
-        """The pricing problem, cached."""
         if self.priced is not None:
             return self.priced
         layered = self.augmented

@@ -114,7 +114,7 @@ class ExplicitPricing(PricingProblem):
     def _leaving(self) -> IntArray:
         """A policy that ends every run, at the goal where possible, [states].
 
-        With a time limit it avoids the risk of dead-ends, because it may become the answer.
+        If there is a time limit, the policy avoids dead-ends, because it may become the answer.
         """
         if self.begun_from is not None:
             return self.begun_from

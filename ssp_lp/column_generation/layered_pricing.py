@@ -81,7 +81,7 @@ class OpenEndedPricing(PricingProblem):
     def taken_on(self, columns: Sequence[Column]) -> list[Column]:
         """Return columns of a process with fewer layers, re-evaluated for this process.
 
-        In the additional layers they act as they did beyond the lower cap.
+        In the additional layers the columns act as they did beyond the lower cap.
         """
         first, tails, known = self.sweep.first_pairs, dict[Column | None, Column](), list[Column]()
         for column in columns:
@@ -208,9 +208,9 @@ class OpenEndedPricing(PricingProblem):
 
     @cached_property
     def _less_paid(self) -> Sweep:
-        """The backward sweeps for :meth:`check_less`: with the goal as one more reward.
+        """The backward sweeps for :meth:`check_less`, with the goal as one more reward.
 
-        They do not add the constant by which ends are shifted.
+        They do not add the constant ``OpenEnded.shift`` to the charge of an episode.
         """
         goal = self.augmented.base.survival * self.augmented.base.gain
         counted = np.append(self.sweep.counted, goal[:, None], axis=1)
@@ -266,9 +266,9 @@ def open_sweep(table: OpenEnded, rows: Sequence[FloatArray], *, by_goal: bool) -
 
 
 def ahead_of(table: OpenEnded, beyond: FloatArray) -> FloatArray:
-    """Return values of the last layer, repeated for each layer that one step can reach beyond it.
+    """Return values of the last layer for each layer that a step can reach beyond the cap.
 
-    The shape is [layers, nodes, ...].
+    The shape is [layers, nodes, ...], with equal values in all layers.
     """
     return np.broadcast_to(beyond, (table.base.width - 1, *beyond.shape))
 

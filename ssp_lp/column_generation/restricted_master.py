@@ -61,7 +61,7 @@ _MOST_STEPS = 10_000  # in fractions, where Bland's rule excludes cycles
 class MasterOptimum:
     """An optimum of the restricted master: weights of the policies and prices of the rows.
 
-    At most one weight more than there are tight rows is positive.
+    The number of positive weights is at most one more than the number of tight rows.
     """
 
     value: float
@@ -146,7 +146,7 @@ class _Program:
         return bool(optimum.value - least <= _KEPT * abs(optimum.value))
 
     def solved_in_fractions(self, basis: list[int]) -> MasterOptimum | None:
-        """Solve the program by simplex steps in fractions; None: no optimal basis was found.
+        """Solve the program by simplex steps in fractions; return None if they find no optimum.
 
         Args:
             basis: indices of the variables of the first basis, [rows + 1].
@@ -179,7 +179,6 @@ class _Program:
         limits = [Fraction(bound) for bound in bounds.tolist()]
 
         def unit(row: int, entry: Fraction) -> list[Fraction]:
-            """Return a unit vector times a number."""
             return [entry if k == row else zero for k in range(n_rows + 1)]
 
         entries = [
@@ -272,7 +271,6 @@ class ExactSimplex:
 
 
 def _dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
-    """Return the scalar product of two exact vectors."""
     return sum((a * b for a, b in zip(one, other, strict=True) if a and b), Fraction(0))
 
 
