@@ -156,7 +156,6 @@ class _LayerPower(NamedTuple):
         return self._replace(onward=self.onward * factor[:, None])
 
     def doubled(self) -> _LayerPower:
-        """Return the effect of passing twice as many layers."""
         lands = self.lands + self.onward @ self.lands
         leaves = self.leaves + self.onward @ self.leaves
         return _LayerPower(self.onward @ self.onward, lands, leaves).scaled()
@@ -189,7 +188,6 @@ class _LayerPowers:
 
     @property
     def size(self) -> int:
-        """Number of places."""
         return len(self.node)
 
     def _one_layer(self) -> _LayerPower:
@@ -423,7 +421,7 @@ class Arrivals:
         return arrived + self._ahead(layer)[0] if layer > self.settled and self.leaps else arrived
 
     def first_reaching(self, mass: float) -> int:
-        """Return the unsettled layer up to which the arrivals together reach a mass.
+        """Return the first layer up to which the arrivals sum to a mass; it must be unsettled.
 
         :attr:`leaps` must be true.
 
@@ -455,7 +453,6 @@ class Arrivals:
 
     @cached_property
     def _powers(self) -> _LayerPowers:
-        """Effects of passing 1, 2, 4, ... layers."""
         return _LayerPowers(self._onward, self._live.lost, self._free)
 
     def _here(self) -> FloatArray:
@@ -477,7 +474,6 @@ class Arrivals:
         return None
 
     def _settle_one(self) -> None:
-        """Settle one more layer."""
         row, size = self.settled % self._width, self._size
         here = self._waiting[row * size : (row + 1) * size]
         visits = here[:-1].copy()
@@ -667,7 +663,7 @@ class FollowedSums(Arrivals):
 
     @property
     def _may_be_exhausted(self) -> bool:
-        """Whether the sweep may go on: few sums were followed, or more and much mass arrived."""
+        """Whether the sweep may go on: few sums so far, or enough mass that reached the goal."""
         if self._followed <= _EARLY * self._most:
             return self._followed <= self._end and len(self._units) <= _MOST_STEPS
         return self._followed <= self._end and self._arrived >= _SOME * self._goal

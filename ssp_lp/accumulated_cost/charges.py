@@ -1,9 +1,10 @@
 """Charges: functions of the total cost at the goal, for many criteria on one process.
 
 On the accumulated-cost process (paper, section 3.1.1) a run that reaches the goal at total cost c
-is charged ``charge(c)``, and a run that fails is charged 0. The total cost itself gives S3P; a
-step, a kink or a utility gives bounded reach, the conditional value at risk, or GUBS. A negative
-charge is a reward. Charges do not fall as the total cost grows.
+is charged ``charge(c)``, and a run that fails is charged 0. If the charge is the total cost itself,
+the criterion is S3P; a step function gives bounded reach, a function with a kink the conditional
+value at risk, a utility GUBS. A negative charge is a reward. Charges do not fall as the total cost
+grows.
 
 A measure is a number that is computed from the *law of success costs* of a policy: the
 sub-probability law of the total cost C on the runs that reach the goal. Its missing mass is the
@@ -128,7 +129,7 @@ class Charge(ABC):
 
     @property
     def settled(self) -> float | None:
-        """Total cost beyond which the charge is affine; None: never."""
+        """Total cost beyond which the charge is affine; None if it never is."""
         return 0.0
 
     def is_affine_beyond(self, total: float) -> bool:
@@ -250,7 +251,7 @@ class Measure(ABC):
 
 
 class Reward(Charge, Measure):
-    """A maximised expectation. As a charge it is the worth of failing minus that of success."""
+    """A maximised expectation; the minimised charge is worth of failing minus worth of success."""
 
     maximised = is_expectation = True
 

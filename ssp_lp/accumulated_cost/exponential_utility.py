@@ -67,9 +67,9 @@ def pairs_keeping_goal(model: SSP, greatest: GoalReach) -> BoolArray:
 
 
 def _lost_goal(model: SSP, greatest: GoalReach) -> FloatArray:
-    """Return the goal probability that is lost by taking a pair once, [pairs].
+    """Return the goal probability that is lost by taking each pair once, [pairs].
 
-    All other decisions attain the greatest goal probability.
+    All decisions after the pair attain the greatest goal probability.
     """
     here = greatest.goal[model.pair_state]
     return np.asarray(here - successor_means(model, greatest.goal))

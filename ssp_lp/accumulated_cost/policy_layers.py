@@ -362,7 +362,7 @@ class LayerMoves:
         """Return the moves of some classes: position of the pair, outcome and class, [moves] each.
 
         Args:
-            pairs: pairs that are taken, negative: none, [k].
+            pairs: the pair taken in each of k states, negative if none, [k].
             wanted: mask of the classes, [classes].
         """
         where = np.flatnonzero(pairs >= 0)
@@ -501,8 +501,8 @@ def chains_of_law(
 ) -> tuple[Chain, Chain]:
     """Return a chain with the law of a policy's total cost, and one with costs rounded up.
 
-    Costs are rounded up as the policy's layers do. Both chains are one object if the policy does
-    not round costs up, or if the chain with true costs would be too large.
+    The second chain rounds costs up as the layers of the policy do. Both chains are one object if
+    the policy does not round costs up, or if the chain with true costs would be too large.
 
     Args:
         model: the model.

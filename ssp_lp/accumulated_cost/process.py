@@ -403,8 +403,8 @@ class LayeredProcess(ChargedLayers):
         """Return the accumulated cost from which the last tail is no worse than the first, [nodes].
 
         The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
-        cost_k) + offset * goal_k. The result is in units. It is -infinity in place of any cost up
-        to the cap, so that equal choices of tails have equal thresholds.
+        cost_k) + offset * goal_k. The result is in units. Costs up to the cap are returned as
+        -infinity, so that equal choices of tails have equal thresholds.
 
         Args:
             price: price of failure.

@@ -217,7 +217,7 @@ class OpenEnded(ChargedLayers):
         return np.append(np.tile(per_pair, self.cap + 1), at_source)
 
     def counting(self, semantics: FailureSemantics) -> Counting:
-        """Return an object that counts quantities other than the total at a layer's pairs."""
+        """Return the coefficients of quantities other than the total, for the pairs of a layer."""
         base = self.base
         goal = base.survival * base.gain
         return Counting(
@@ -225,7 +225,7 @@ class OpenEnded(ChargedLayers):
         )
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """Return a choice as a cost-aware policy; the choice in the last layer is its tail.
+        """Return a choice as a cost-aware policy; the choice in the last layer becomes the tail.
 
         Args:
             choice: pair of each state of the process, [process states].
@@ -397,7 +397,7 @@ def truncates(charge: Charge, total: float) -> bool:
 
 
 def _settled_open_end(charge: Charge) -> float | None:
-    """Return the total beyond which the charge is affine; None: it is never exactly affine."""
+    """Return the total beyond which the charge is affine; None if it never is exactly."""
     settled = charge.settled
     if settled is None or not charge.is_affine_beyond(settled * (1.0 + BEYOND)):
         return None
