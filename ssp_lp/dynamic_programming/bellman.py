@@ -45,7 +45,6 @@ class Work:
     products: int = 0  # passes over one pair per state
 
     def __add__(self, other: Work) -> Work:
-        """Return the sums of both numbers."""
         return Work(self.backups + other.backups, self.products + other.products)
 
 

@@ -343,7 +343,6 @@ class Iteration:
             return step
 
         def missed(y: FloatArray) -> FloatArray:
-            """Return ``y - own @ y``."""
             self.products += 1
             return np.asarray(y - self.own @ y)
 

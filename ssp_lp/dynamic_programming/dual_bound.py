@@ -105,8 +105,8 @@ def dual_bound(
         floor: a constant that is known to be a sub-solution: 0 if no pair cost is negative.
         choice: a policy that ends every run and has about these values, [states].
         start: positive in states where the bound must be near the values, [states]; None: all.
-        least_loss: for probabilities, by how much the values may be lowered; such values are not
-            recomputed if there are many states. None: by a share of the greatest value.
+        least_loss: lowering of a value that is small enough, if the values are probabilities; these
+            are not recomputed if there are many states. None: a share of the greatest value.
 
     Returns:
         Values that are checked lower bounds of the optimum.
@@ -345,9 +345,9 @@ def _longest_run(
 ) -> FloatArray | None:
     """Sum the lacks along the worst near-optimal policy, from each state, [states].
 
-    Lowering the values by this sum absorbs the violation times the longest expected run
-    (mathematics, section 5). States from which no lack is reached do not change. A lack above 0
-    counts as at least ``least``, [states]. The result is None if the policy never ends.
+    Values lowered by a small multiple of this sum are a sub-solution (mathematics, section 5).
+    States from which no lack is reached do not change. A lack above 0 counts as at least ``least``,
+    [states]. The result is None if the policy never ends.
     """
     pair_offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     worst_lack, met = float(lack.max()), lack > 0

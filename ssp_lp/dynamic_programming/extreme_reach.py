@@ -4,7 +4,7 @@ The probabilities of the two exits are each summed from their own data, so that 
 relative to their size. A pair attains the extreme if a policy that takes it whenever possible loses
 no more than rounding. (In a loop that is rarely left, small losses of single steps add up.) If a
 component is too large for state reduction, a coarser rule holds: a pair may lose a hundred times
-``FAILURE_FLOOR`` in a step, and ``LEAST_BUDGET`` over the longest run of the quickest policy.
+``FAILURE_FLOOR`` in a step, and ``LEAST_BUDGET`` in total over the expected steps of a run.
 """
 
 from __future__ import annotations
@@ -243,7 +243,7 @@ def _sweep(
     *,
     up: bool = False,
 ) -> float:
-    """Improve values over all pairs, then follow the chosen pairs; return the greatest rise.
+    """Sweep over all pairs, then several times over the chosen pairs; return the greatest rise.
 
     Args:
         dynamics: the process.
@@ -252,7 +252,7 @@ def _sweep(
         is_compiled: whether to run compiled; otherwise numpy sweeps all states at once.
         choice: pairs by which values rise, changed in place, [states].
         values: changed in place, [states].
-        up: whether to round up and leave the choice; otherwise round down.
+        up: whether to round up and leave the choice unchanged; otherwise round down.
     """
     order, rows, rise = next(directions), dynamics.transitions, 0.0
     if not is_compiled:
