@@ -184,7 +184,6 @@ def words_as_latex(words: str) -> str:
 
 
 def _latex_text(text: str) -> str:
-    """Return text with LaTeX's special characters escaped."""
     escaped = re.sub(r"([#$%&_{}])", r"\\\1", text.replace("\\", "/"))
     return re.sub(r"([~^])", r"\\\1{}", escaped)
 
