@@ -107,7 +107,7 @@ class LayeredPricing(PricingProblem):
         return process.totals.values[: process.cap] / process.base.survival
 
     def _begun_in(self, layer: int, swept: Column, measures: FloatArray | None = None) -> Column:
-        """Return a column that acts from the start on as a swept column does from a layer on.
+        """Return the column that a sweep found for episodes that begin in a given layer.
 
         Args:
             layer: the layer of ``swept`` that becomes the first one.

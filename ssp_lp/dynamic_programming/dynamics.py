@@ -66,8 +66,8 @@ class Dynamics:
     """Pairs of each state, their transitions, and their probabilities of leaving for good.
 
     The exits (probabilities of leaving) are stored, since a tiny exit that is computed as ``1 -
-    sum`` would be lost to rounding. Row and exit are exact data, even if their sum differs from 1
-    by rounding.
+    sum`` would be lost to rounding. Transitions and exits are taken as exact, even if they do not
+    sum to 1 because of rounding.
     """
 
     pair_offsets: IntArray  # [states + 1]

@@ -365,9 +365,9 @@ class _Tree:
         return self._objective_bound(column.tail_price, bound.at(process.start))
 
     def _objective_bound(self, price: float, priced: float) -> float:
-        """Return the bound of the objective that follows from ``priced``.
+        """Return a lower bound of the objective of every policy.
 
-        Both are lower bounds for every policy; ``priced`` bounds ``cost + price * failure``.
+        It follows from ``priced``, a lower bound of ``cost + price * failure`` of every policy.
         """
         return self.row.lower_bound(Proof(price, price, priced, np.zeros(0)))
 
