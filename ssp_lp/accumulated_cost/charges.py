@@ -1,9 +1,10 @@
 """Charges: functions of the total cost at the goal, for many criteria on one process.
 
 On the accumulated-cost process (paper, section 3.1.1) a run that reaches the goal at total cost c
-is charged ``charge(c)``, and a run that fails is charged 0. The total cost itself gives S3P; a
-step, a kink or a utility gives bounded reach, the conditional value at risk, or GUBS. A negative
-charge is a reward. Charges do not fall as the total cost grows.
+is charged ``charge(c)``, and a run that fails is charged 0. If the charge is the total cost itself,
+the criterion is S3P; a step function gives bounded reach, a function with a kink the conditional
+value at risk, a utility GUBS. A negative charge is a reward. Charges do not fall as the total cost
+grows.
 
 A measure is a number that is computed from the *law of success costs* of a policy: the
 sub-probability law of the total cost C on the runs that reach the goal. Its missing mass is the
@@ -119,7 +120,7 @@ class Charge(ABC):
 
     @property
     def is_concave(self) -> bool:
-        """Whether the charge is concave: linear interpolation never exceeds it."""
+        """Whether the charge is concave, so that linear interpolation never exceeds it."""
         return False
 
     @abstractmethod
@@ -128,7 +129,7 @@ class Charge(ABC):
 
     @property
     def settled(self) -> float | None:
-        """Total cost beyond which the charge is affine; None: never."""
+        """Total cost beyond which the charge is affine; None if it never is."""
         return 0.0
 
     def is_affine_beyond(self, total: float) -> bool:
@@ -137,7 +138,7 @@ class Charge(ABC):
         return bool(np.isclose(float(self.at(np.array([total]))[0]), line, rtol=1e-9))
 
     def lossless(self, price: float) -> float:
-        """Return the total at which the affine part reaches a price of failing; 0 if flat."""
+        """Return the total at which the affine part equals a price of failing; 0 if it is flat."""
         return max((price - self.offset) / self.slope, 0.0) if self.slope > 0.0 else 0.0
 
     def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
@@ -241,7 +242,7 @@ class Measure(ABC):
 
     @property
     def charge(self) -> Charge:
-        """The charge whose expectation is the measure, or the first one of a search."""
+        """The charge whose expectation is the measure, or with which a search for it begins."""
         return TOTAL_COST
 
     @abstractmethod
@@ -250,7 +251,7 @@ class Measure(ABC):
 
 
 class Reward(Charge, Measure):
-    """A maximised expectation; its charge is the worth of failing minus that of success."""
+    """A maximised expectation; the minimised charge is worth of failing minus worth of success."""
 
     maximised = is_expectation = True
 
@@ -261,7 +262,7 @@ class Reward(Charge, Measure):
 
     @property
     def charge(self) -> Charge:
-        """The reward itself."""
+        """This object, which is a charge as well."""
         return self
 
 
@@ -339,8 +340,8 @@ class ExpectedUtility(Reward):
 class ExponentialUtility(Reward):
     """E[exp(rate * total cost); goal] + bonus * Pr(goal), rate < 0 (eGUBS).
 
-    The utility of a sum of costs is the product of their utilities, so that the worth of following
-    a tail is exact at every cost paid before.
+    The utility of a sum of costs is the product of their utilities. So the expected utility of a
+    tail policy is known exactly, whatever cost was paid before.
     """
 
     rate: float

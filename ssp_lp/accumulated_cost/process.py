@@ -113,7 +113,7 @@ class AccumulatedCost:
 
     @cached_property
     def steps_within(self) -> FloatArray | None:
-        """Upper bound of every policy's expected steps within a layer, [nodes]; None: it is large.
+        """Upper bound of every policy's expected steps within a layer, [nodes]; None if too large.
 
         Backups raise a lower bound. Once a backup adds at most 1/2 to every state, twice the lower
         bound is an upper bound.
@@ -138,9 +138,9 @@ class AccumulatedCost:
 
     @cached_property
     def steps_by_class(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        """All steps in CSR form: offsets, and class (0: free), target and probability of entries.
+        """All steps in CSR form: offsets, [pairs + 1], and three arrays, [entries] each.
 
-        [pairs + 1], and [entries] each.
+        These are the class of the step (0: within the layer), its target node and probability.
         """
         steps, n = self.steps, max(self.n_nodes, 1)
         classes, nodes = np.divmod(unsigned(steps.indices), np.uint32(n))
@@ -403,8 +403,8 @@ class LayeredProcess(ChargedLayers):
         """Return the accumulated cost from which the last tail is no worse than the first, [nodes].
 
         The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
-        cost_k) + offset * goal_k. The result is in units; -infinity stands for any cost up to the
-        cap, so that tails chosen in the same way have equal thresholds.
+        cost_k) + offset * goal_k. The result is in units. Costs up to the cap are returned as
+        -infinity, so that equal choices of tails have equal thresholds.
 
         Args:
             price: price of failure.

@@ -346,7 +346,6 @@ class Sweep:
 
     @property
     def _begun_mass(self) -> _LayerMass:
-        """The start mass, in the first layer, from which a forward sweep begins."""
         return _LayerMass(self.process.base, self.counted, self.process.totals)
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
@@ -436,7 +435,7 @@ class Sweep:
 
         Args:
             priced: costs to minimise.
-            sizes: whether the sizes are needed; if not, they may be wrong.
+            sizes: whether the sizes are needed; if not, the function may return wrong ones.
         """
         process, (owed, saved), weight = self.process, priced[:2], priced.charged
         alone = np.maximum(owed, saved)
@@ -525,7 +524,7 @@ class Sweep:
 
     @cached_property
     def block(self) -> int:
-        """Least number of layers that a step passes; 1: not known."""
+        """Least number of layers that a step passes, or 1 if it is not known."""
         classes = self.process.base.steps_by_class[1]
         is_even = classes.size > 0 and self.process.totals.ahead is None
         return int(classes.min()) if is_even else 1
@@ -538,7 +537,7 @@ class Sweep:
 
     @property
     def one_pass(self) -> _OnePass | None:
-        """Input of a backward sweep in one pass; None: the sweep goes layer by layer."""
+        """Input of a backward sweep in one pass; None if the sweep must go layer by layer."""
         process, base = self.process, self.process.base
         cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
         by_blocks = self.block >= _LEAST_BLOCK
@@ -557,7 +556,8 @@ class Sweep:
     def _whole_pass(self) -> tuple[_Layers, FloatArray] | None:
         """Input of a backward sweep in one pass, whether or not one pass is faster.
 
-        None: there are too many charges, or policies may take too many free steps in a row.
+        It is None if there are too many charges, or if policies may take too many free steps in a
+        row.
         """
         process, base, cap = self.process, self.process.base, self.process.cap
         arriving = process.arriving
@@ -681,7 +681,7 @@ def at_weights(
 
 
 def at_price(sweep: Sweep, price: float, failing: float, *, bounds: bool = False) -> Priced:
-    """Return the costs to minimise at a price of failure, for a sweep that counts both ends.
+    """Return the costs to minimise at a price of failure; the sweep must count failure and goal.
 
     The cost of a run is its charge plus ``failing`` if it fails, or plus ``failing - price`` if it
     reaches the goal. With ``failing`` equal to the price this is ``charge + price * failure``. With

@@ -39,13 +39,12 @@ _NOBODY = np.zeros(0, dtype=np.uint32)
 
 @dataclass(frozen=True)
 class Work:
-    """Number of passes over a process, which take most of the time of a pricing problem."""
+    """Work of a computation: its number of passes over a process, which take most of the time."""
 
     backups: int = 0  # passes over all pairs
     products: int = 0  # passes over one pair per state
 
     def __add__(self, other: Work) -> Work:
-        """Return the sums of both numbers."""
         return Work(self.backups + other.backups, self.products + other.products)
 
 
@@ -94,7 +93,7 @@ def best_pairs(
         transitions: [pairs, columns].
         pair_cost: [pairs].
         values: [columns].
-        held: a pair of each state whose value is returned as well, [states].
+        held: one pair of each state, whose sum is returned as well, [states].
     """
     check_time()
     cost = pair_cost if isinstance(pair_cost, PairCost) else PairCost(pair_cost)
@@ -247,7 +246,10 @@ def written_out(rows: SparseRows) -> sp.csr_array:
 
 
 def row_parts(rows: SparseRows) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """Return a matrix's arrays: ``indptr``, first number of each row, columns and numbers."""
+    """Return a matrix's arrays: ``indptr``, position of each row's first number, columns, numbers.
+
+    These are the arrays of :class:`SharedRows`, with unsigned integers for compiled loops.
+    """
     indptr = unsigned(rows.indptr)
     begins = unsigned(rows.begins) if isinstance(rows, SharedRows) else indptr[:-1]
     return indptr, begins, unsigned(rows.indices), rows.data
