@@ -37,7 +37,7 @@ RESERVED = {
 
 @dataclass(frozen=True, eq=False)
 class StepTerm:
-    """A quantity that adds up a cost of each step; the cost is that of a copy of the model."""
+    """A total of step costs: the own cost of ``model``, a copy of the model with other costs."""
 
     model: SSP
     through: bool = False  # also costs after failing

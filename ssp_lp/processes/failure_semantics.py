@@ -124,7 +124,7 @@ class FailureSemantics:
         return self.measure is not None and self.measure.maximised
 
     def charge(self, ratio: bool) -> Charge | None:
-        """Return the charge of the total cost at the goal; None: no accumulated cost (case M)."""
+        """Return the charge of the total cost at the goal; None in case M without a measure."""
         if self.measure is not None:
             return self.measure.charge
         return TOTAL_COST if ratio else None
@@ -472,7 +472,7 @@ class Counting:
         return self.goal + self.failure, float(self.start[self.quotient.node_of < 0].sum())
 
     def other_endings(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Return the mass that ends outside some end states, [pairs], and at the start."""
+        """Return the mass of each pair that ends outside given states, [pairs], and the start's."""
         if (states == self.quotient.model.goal_mask).all():
             return self.failure, float(self.start[self.quotient.dead].sum())
         (every, at_once), (into, there) = self.endings(), self.arrivals(states)

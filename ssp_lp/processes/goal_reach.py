@@ -58,7 +58,7 @@ class GoalReach:
 
     @cached_property
     def usable(self) -> BoolArray:
-        """Mask of the pairs that attain the greatest, or least, goal probability, [model pairs]."""
+        """Mask of the pairs that attain the optimal goal probability, [model pairs]."""
         if self.solved is None:
             return self.surely
         quotient, reach = self.solved
@@ -69,10 +69,10 @@ class GoalReach:
 
 @dataclass(frozen=True, eq=False)
 class ReachPolicy:
-    """A stationary policy, with its cost and goal probability from each state.
+    """A stationary policy, with its cost and its goal probability from each state.
 
-    Functions of this module return policies of greatest or least goal probability in this form,
-    with or without a discount, and also ``goal_directed``.
+    The goal probability, or E[survival^T; goal], is usually the greatest or the least one; a policy
+    of ``goal_directed`` is an exception.
     """
 
     decision: IntArray  # [states]

@@ -114,7 +114,7 @@ _NOWHERE = np.zeros(0, dtype=np.int32)
 
 @dataclass(frozen=True, eq=False)
 class RowChoice:
-    """The pairs of a model that are the rows of a transition matrix, and the columns of it."""
+    """The pairs of a model that are rows of a transition matrix, and the nodes that are columns."""
 
     model: SSP
     node_of: IntArray  # [states] int32 node, -1 where the process ends
