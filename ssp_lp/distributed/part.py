@@ -99,7 +99,7 @@ class Part(SSP):
         return f"{every[0]} states, {every[1]} pairs, checksum {total:x}"
 
     def knowing(self, numbers: Iterable[int]) -> Part:
-        """Return the part with further ghosts; all ranks must call this."""
+        """Return the part with further ghosts (states of other ranks); all ranks must call this."""
         more = np.setdiff1d(np.array([*numbers], dtype=np.int64), self.halo.numbers)
         halo = Halo(self.halo.ranks, self.halo.n_own, np.append(self.halo.ghosts, more))
         offsets = np.append(self.pair_offsets, np.full(len(more), self.n_pairs))

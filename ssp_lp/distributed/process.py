@@ -489,7 +489,7 @@ class PartitionedProcess(PricingProblem):
         return np.asarray(self.labelled.quotient.node_of[: part.halo.n_own] >= 0)
 
     def _positions(self, column: Column) -> IntArray:
-        """Return a column's decisions: positions among the actions, or codes, [own states]."""
+        """Return a column's decisions, [own states]: positions among the actions, or codes."""
         quotient, choice, live = self.labelled.quotient, np.asarray(column.choice), self._live
         positions = np.full(live.size, UNDECIDED, dtype=np.int32)
         stays = (choice == self._exits) & (self.stays >= 0)

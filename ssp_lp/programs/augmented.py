@@ -164,7 +164,7 @@ class Augmented(ABC):
         return np.append(np.tile(chosen, self.copies), False)[self.part.pairs]
 
     def label(self, number: int) -> ColumnLabel:
-        """Return the label of a pair, numbered over all copies with the source's pair last."""
+        """Return the label of a pair, given its number among the pairs of all copies."""
         if number >= self.copies * self.width:
             return ColumnLabel(None, START, self.paid(0))
         copy, inner = divmod(number, self.width)
