@@ -16,7 +16,7 @@ Rows = tuple[Array, Array, Array, Array, Array]
 columns and probabilities, [entries] each; and the probability of leaving for good, [pairs]."""
 
 _MOST_ROUNDS = 1_000
-"""Most rounds in one component, which only rounding could exceed; the bound shows the loss."""
+"""Most rounds in one component. Only rounding could lead to more; the bound shows the loss."""
 
 
 @compiled_loop
@@ -35,7 +35,7 @@ def improve_components(
         components: offsets of the components in the order, [components + 1].
         most: number of states of the largest component.
         cost: [pairs].
-        noise: relative gain up to which a pair is kept.
+        noise: relative gain up to which the present pair is kept.
         choice: pairs of a policy that leaves, improved in place, [states].
         values: written, [states].
 
@@ -59,7 +59,7 @@ def improve_components(
         if least == np.inf:
             return c
         values[s] = least
-        if least < kept:  # the held pair is kept if equally good
+        if least < kept:  # the present pair is kept if it is equally good
             choice[s] = pick
     return -1
 
@@ -83,14 +83,14 @@ def improve_acyclic(
         choice: the given pairs, overwritten by better ones unless ``keeps``, [states].
         x: written: expected totals, [states, rewards].
         runs: written: expected steps, [states].
-        missed: written: for each reward the greatest ratio, over the states, of half a total's
-            error bound and its expected steps, [rewards].
+        missed: written: for each reward the greatest value, over the states, of half the error
+            bound of the state's total divided by its expected steps, [rewards].
 
     Returns:
         False if some state is never left.
     """
     _, indptr, indices, data, exits = rows
-    n_rewards, unit = rewards.shape[1], 0.51 * epsilon  # beyond a half for products of roundings
+    n_rewards, unit = rewards.shape[1], 0.51 * epsilon  # above 0.5, for products of roundings
     values, wrong = np.empty(runs.size), np.empty(x.shape)
     missed[:] = 0.0
     for s in order:
@@ -135,10 +135,10 @@ def _improve_component(
         states: states of the component.
         place: -1 everywhere; used for positions in the component, [all states].
         cost: [pairs].
-        noise: relative gain up to which a pair is kept.
+        noise: relative gain up to which the present pair is kept.
         choice: pairs of the policy, improved in place, [all states].
         values: values; written for the component, [all states].
-        inner: working memory for ``gather_component``, like ``low``, ``leaving`` and ``right``.
+        inner: working memory for ``gather_component``, as are ``low``, ``leaving`` and ``right``.
 
     Returns:
         False if a policy never leaves the component from some state.
@@ -174,7 +174,10 @@ def _improve_component(
 def _best_pair(
     rows: Rows, cost: Array, values: Array, s: int, held: int
 ) -> tuple[int, float, float, float]:
-    """Return the first best pair of a state and its value, conditioned on departing.
+    """Return the first best pair of a state, and its value.
+
+    The value of a pair is conditioned on departing: without the self-loop, and divided by the
+    probability of departing.
 
     Args:
         rows: the process.
@@ -215,8 +218,8 @@ def improve_states(
         rows: the process.
         order: the states to visit, in this order.
         cost: [pairs].
-        noise: relative gain up to which a pair is kept.
-        floor: absolute gain up to which a pair is kept.
+        noise: relative gain up to which the present pair is kept.
+        floor: absolute gain up to which the present pair is kept.
         choice: pair of each state, updated, [states].
         values: updated, [states].
 
@@ -248,17 +251,18 @@ def improve_states(
 def sweep_reach(
     rows: Rows, order: Array, wanted: Array, epsilon: float, up: bool, choice: Array, values: Array
 ) -> float:
-    """Improve values of the greatest probability of leaving by an exit, state by state.
+    """Update bounds of the greatest probability of leaving by an exit, by one sweep over states.
 
-    If backups are rounded down, values only rise, and a state whose value rises takes the pair that
-    raises it. If backups are rounded up, values are at most 1, and the choice does not change.
+    Lower bounds are backups rounded down: a value never falls, and if it rises, the state takes the
+    pair that raises it. Upper bounds are backups rounded up: a value is at most 1, and the choice
+    does not change.
 
     Args:
         rows: the process.
         order: the states to visit.
-        wanted: probability of leaving by the exit, [pairs].
+        wanted: probability of leaving by the exit in one step, [pairs].
         epsilon: the machine epsilon.
-        up: whether to round up.
+        up: True for upper bounds, False for lower bounds.
         choice: pair of each state, updated, [states].
         values: updated, [states].
 
@@ -290,18 +294,19 @@ def follow_reach(
     begins: Array, ends: Array, indices: Array, data: Array, order: Array, wanted: Array,
     epsilon: float, turned: bool, values: Array,
 ) -> None:  # fmt: skip
-    """Update probabilities of leaving along a policy, state by state, rounded down.
+    """Update lower bounds of a policy's probability of leaving by an exit, state by state.
 
     Args:
-        begins: position of the first entry of the policy's row of each state visited, [states].
-        ends: position after the last one, [states].
+        begins: position of the first entry in the row of each visited state's pair, [visited].
+        ends: position after the last entry of this row, [visited].
         indices: [entries].
         data: [entries].
-        order: the states to visit, [states].
-        wanted: probability of leaving by the exit, by the policy's pair of each, [states].
+        order: the states to visit, [visited].
+        wanted: probability of leaving by the exit in one step, by the pair of each visited state,
+            [visited].
         epsilon: the machine epsilon.
         turned: whether to visit the last state first.
-        values: of all states.
+        values: the bounds, updated, [all states].
     """
     for number in range(order.size):
         i = np.uint64(order.size - 1 - number if turned else number)
