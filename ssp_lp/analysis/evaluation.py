@@ -300,7 +300,7 @@ def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False
     Args:
         chain: chain of the policy.
         problem: problem with the semantics and the limits.
-        declared: whether the policy itself says when it has failed (see ``counted_nodes``).
+        declared: whether the policy itself decides when it has failed (see ``counted_nodes``).
     """
     mass = np.zeros((chain.n_nodes, 3 * len(_survivals(problem))))
     mass[:, ::3] = chain.start[:, None]
@@ -692,13 +692,13 @@ def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> 
     - In general these are the nodes from which the goal can be reached.
     - If a constraint or the objective counts ends other than the goal, a run has not failed until
       it ends or gives up.
-    - If the model's states have a failure label, a policy may state itself when it has failed. If
+    - If the model's states have a failure label, a policy may itself decide when it has failed. If
       it does not, it has failed as soon as it can no longer reach the goal.
 
     Args:
         chain: chain of the policy.
         problem: problem with the constraints.
-        declared: whether the policy states itself when it has failed.
+        declared: whether the policy itself decides when it has failed.
     """
     if problem.model.failure_label is not None:
         quits = chain.give_up > 0

@@ -227,7 +227,7 @@ class _ProductSimulator:
     product: ProductSSP
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Start episodes; each has the first memory of its start state."""
+        """Start episodes, each with the initial memory of its start state."""
         world, state = self.inner.reset(episodes, rng)
         return world, self.product.table[state, self.product.first_memory(state)]
 

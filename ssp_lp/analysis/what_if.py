@@ -264,7 +264,7 @@ class _Optimum:
 
     @cached_property
     def size(self) -> float:
-        """1 plus the greatest absolute value of a node, to which tolerances are relative."""
+        """1 plus the greatest absolute value in ``values``, to which tolerances are relative."""
         return 1.0 + float(np.nanmax(np.abs(self.values)))
 
     @cached_property

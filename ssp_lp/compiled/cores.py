@@ -68,7 +68,7 @@ class _Permission(event.Listener):
             raise NotCompiledError(name)
 
     def on_end(self, event: Any) -> None:
-        """Leave a compilation, whether finished or refused; compilations may be nested."""
+        """Count the end of a compilation, finished or refused; compilations may be nested."""
         self.depth -= 1
 
 

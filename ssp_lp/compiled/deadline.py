@@ -301,7 +301,7 @@ class WithIncumbent:
 
 
 def backward(end: int, begin: int = 0) -> Iterator[int]:
-    """Yield numbers of layers or points in time, the last first, checking the time before each."""
+    """Yield the numbers end - 1 down to begin, checking the deadline before each."""
     for layer in reversed(range(begin, end)):
         check_time()
         yield layer

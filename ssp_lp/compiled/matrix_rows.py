@@ -71,7 +71,7 @@ def fill_rows(
     The arguments are those of ``count_rows``, and:
 
     Args:
-        ahead: number of layers that each outcome passes, [outcomes]; empty: one layer.
+        ahead: number of layers that each outcome passes, [outcomes]; empty: none.
         n_nodes: number of nodes of a layer.
         survival: discount of the probabilities.
         indptr: offsets of the rows' entries, [rows + 1].

@@ -88,11 +88,11 @@ class Ranks:
                                      f"on rank 0, {in_short(two)} on rank {rank}")  # fmt: skip
 
     def together(self, make: Callable[[], _Made]) -> _Made:
-        """Run a function on all ranks jointly; an error on one rank alone ends all of them.
+        """Run a function on all ranks jointly; an unexpected error on one rank ends all of them.
 
-        Errors of the library are raised by all ranks at the same point, and need no such measure.
-        After any other error, or an interrupt, of one rank the others would wait for its messages
-        for ever.
+        Errors of the library are raised by all ranks at the same point. Any other error, or an
+        interrupt, may occur on one rank alone. The other ranks would then wait for its messages for
+        ever.
         """
         try:
             return make()

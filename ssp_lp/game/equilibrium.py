@@ -93,8 +93,7 @@ class Mixture:
 
         The rows of this game are the two policies, its columns the two MDPs. A policy's payoffs are
         J_obj and (eta / epsilon) J_cond. The greater of the mixture's two payoffs is a convex
-        function of the weight. Its least value lies where both payoffs are equal, or at weight 0 or
-        1.
+        function of the weight. It is least where both payoffs are equal, or at weight 0 or 1.
         """
         low, high = self.game.excess(self.minus), self.game.excess(self.plus)
         weights = [0.0, 1.0] + ([low / (low - high)] if low * high < 0.0 else [])

@@ -269,7 +269,7 @@ def check_budget(
 
 
 def construct(kind: type[Player], problem: Problem, tail: float | None = None) -> Player:
-    """Build a player of a given class for a problem: the objective MDP and the failure MDP with it.
+    """Build a player of a given class, with the objective MDP and the failure MDP of a problem.
 
     Args:
         kind: the class; ``BayesPlayer`` leaves J_obj undiscounted.
@@ -435,7 +435,7 @@ def stationary_player(problem: Problem, tail: float | None = None) -> Player:
     Args:
         problem: states the case, the start and the discount.
         tail: in case S the total cost M of section 3.5.1: once M is paid, pi'_or is followed, and
-        J_obj is no longer discounted. None: M grows until the optimum no longer depends on M.
+            J_obj is no longer discounted. None: M grows until the optimum no longer depends on M.
 
     Raises:
         ModelError: no discount, a budget that is not above 0, an invalid tail, or one in case M.

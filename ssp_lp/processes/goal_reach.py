@@ -124,7 +124,7 @@ def greatest_goal_reach(
 def greatest_goal_from(model: SSP, start: FloatArray) -> float:
     """Return the greatest goal probability from a start distribution, [states].
 
-    It is also accurate if failure is rare.
+    The result keeps its digits if failure is rare.
 
     Raises:
         Stop: the time limit was reached before it was computed.

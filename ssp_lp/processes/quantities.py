@@ -118,7 +118,7 @@ class Followed(ABC):
         return self
 
     def is_safe(self, constraint: Constraint, is_stated: bool) -> bool:
-        """Return whether every policy that satisfies the rounded limit satisfies the stated one.
+        """Return whether a limit is satisfied if it is satisfied with rounded amounts.
 
         Args:
             constraint: the limit, or the objective as a limit.
@@ -387,7 +387,7 @@ class CostLimit:
 
 
 def constraints_of(limits: Mapping[str, CostLimit]) -> dict[str, Constraint]:
-    """Return the constraints on quantities that limits of secondary costs stand for, by name.
+    """Convert limits of secondary costs to constraints on quantities, by name.
 
     Raises:
         ModelError: not a mapping of limits, or a bound that is not a finite number >= 0.

@@ -156,7 +156,7 @@ class Augmented(ABC):
 
     @property
     def gives_up(self) -> BoolArray:
-        """Whether a policy gives up by a pair, [process pairs]."""
+        """Mask of the pairs by which a policy gives up, [process pairs]."""
         return self._of_copies(self.quotient.gives_up)
 
     def _of_copies(self, chosen: BoolArray) -> BoolArray:

@@ -82,10 +82,10 @@ class OccupationMeasure:
     def rows(self) -> tuple[MeasuredRow, ...]:
         """Rows of the program with activity, price and dual, followed by rows that the user added.
 
-        In case S the price is a multiplier of the ratio: for every policy, ``cost + price * (spent
-        - bound)`` divided by the goal probability is at least c*. The dual is the improvement of c*
-          per unit of the bound: the price divided by the goal probability. With goal probability 0
-          there are neither c* nor duals.
+        In case S the price is a multiplier of the ratio: for every policy, c* is at most ``cost +
+        price * (spent - bound)`` divided by the goal probability. The dual is the improvement of c*
+        per unit of the bound: the price divided by the goal probability. With goal probability 0
+        there are neither c* nor duals.
         """
         success = self._goal if self.program.ratio else 1.0
         stated = []
@@ -380,7 +380,7 @@ def balanced_visits(
 
 
 def drawn_chain(process: ExplicitProcess, share: FloatArray) -> tuple[sp.csr_array, System]:
-    """Return the Markov chain of a randomised policy, with its draws as a matrix.
+    """Return the draws of a randomised policy as a matrix, and the policy's Markov chain.
 
     Args:
         process: the process.

@@ -271,8 +271,8 @@ class OccupationProgram(Report):
     def spread_out(self) -> OccupationProgram:
         """Return the program with a column for each pair of the model, self-loops included.
 
-        The program without merged components is the result; the merged program remains as
-        ``reduced`` and is solved instead.
+        The present program, in which components are merged, remains as ``reduced``: it is solved in
+        place of the result.
         """
         spread = spread_out(self.augmented.quotient, self.augmented.live.departs)
         if spread is None:
@@ -551,7 +551,8 @@ class OccupationProgram(Report):
 
         For prices l >= 0 of the rows <q, x> <= b, every feasible measure satisfies ``<cost, x> >=
         <cost + l q, x> - l b``. The minimum of the right side over all x that satisfy flow balance
-        is a lower bound of the program. It bounds the problem if no column is missing.
+        is a lower bound of the program. The bound also holds for the problem if the program has all
+        its columns.
 
         Args:
             prices: prices of the rows, by name, >= 0.

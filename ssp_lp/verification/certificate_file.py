@@ -249,7 +249,7 @@ class Statement:
 
     @property
     def scale(self) -> Fraction:
-        """Step by which caps are raised: the greatest cost of a step, at most 1; 1 if it is 0."""
+        """Unit of caps on total costs: the greatest cost of a step, at most 1; or 1 if it is 0."""
         costs, exact = self.costs[0]
         most = float(costs.max(initial=0.0))
         return min(exact.get(most, Fraction(text_of(most))), Fraction(1)) or Fraction(1)
