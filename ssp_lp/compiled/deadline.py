@@ -311,8 +311,8 @@ def pieces(length: int, entries: int) -> Iterable[slice]:
     """Split a long loop into pieces, checking the deadline before each.
 
     Args:
-        length: number of turns of the loop.
-        entries: number of entries in all turns.
+        length: number of iterations of the loop.
+        entries: number of entries in all iterations.
     """
     if entries > _PIECE:
         return _several_pieces(length, -(-entries // _PIECE))

@@ -36,7 +36,7 @@ def improve_components(
         most: number of states of the largest component.
         cost: [pairs].
         noise: relative gain up to which the present pair is kept.
-        choice: pairs of a policy that leaves, improved in place, [states].
+        choice: pairs of a policy by which every run ends, improved in place, [states].
         values: written, [states].
 
     Returns:

@@ -31,7 +31,7 @@ _PROBES, _STATES = 128, 64  # samples, and most states of each, to estimate numb
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Part(SSP):
-    """The states of a model that a rank knows, and the pairs of its own."""
+    """The states of a model that a rank knows, and the pairs of the rank's own states."""
 
     halo: Halo = field(kw_only=True)  # over the states of the model
     sets: Mapping[str, IntArray] = field(kw_only=True)  # named sets: numbers of their states

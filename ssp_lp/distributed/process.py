@@ -244,7 +244,7 @@ class PartitionedProcess(PricingProblem):
 
     @cached_property
     def _leaving(self) -> IntArray:
-        """A policy that leaves from every node, by the goal if possible, [own nodes]."""
+        """A policy by which every run ends, at the goal if possible, [own nodes]."""
         graph, goal = replace(self.dynamics).graph, self.labelled.process.goal > 0.0
         nearer = self.halo.approaching(graph, goal)
         if self.ranks.any(nearer < 0):
@@ -344,7 +344,7 @@ class PartitionedProcess(PricingProblem):
         return full[:n]
 
     def _leaving_equations(self, choice: IntArray, values: FloatArray) -> _Equations:
-        """Set up the equations of a policy; nodes that never leave follow ``_leaving`` instead."""
+        """Set up the equations of a policy; ``_leaving`` replaces it where runs would never end."""
         equations = _Equations(self, choice, values)
         closed = ~equations.leading(equations.moves.exits > 0.0)
         if not self.ranks.any(closed):
@@ -571,7 +571,7 @@ def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedP
 
 @dataclass(frozen=True, eq=False)
 class CompiledPartitioned(CompiledExplicit):
-    """Case M compiled on parts of a model, with its process in ``priced``."""
+    """A problem of case M, compiled on parts of a model; its process is ``priced``."""
 
     is_whole = False  # other problems on the model need another process
 
@@ -618,7 +618,7 @@ class CompiledPartitioned(CompiledExplicit):
 
 
 def compiled_on_ranks(stated: CompiledExplicit, **more: Any) -> CompiledPartitioned:
-    """Return a compiled problem on a part, with its process; all ranks must call this.
+    """Return a compiled problem with its process on parts of a model; all ranks must call this.
 
     Args:
         stated: the problem.

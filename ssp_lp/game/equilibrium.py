@@ -45,7 +45,7 @@ class Game:
 
     @property
     def scale(self) -> float:
-        """Weight of J_cond, eta(epsilon; c) / epsilon."""
+        """Factor of J_cond in the payoff: eta / epsilon, the stake divided by the budget."""
         return self.stake / self.budget
 
     def payoff(self, alpha: float, response: BestResponse) -> float:
@@ -111,17 +111,17 @@ class Mixture:
 
     @property
     def objective(self) -> float:
-        """J_obj(x'; z) of the mixture."""
+        """J_obj of the mixture: the expected cost, in case S of successful runs only."""
         return self._costs(self.weight)[0]
 
     @property
     def condition(self) -> float:
-        """J_cond(x'; z) of the mixture."""
+        """J_cond of the mixture: the discounted failure probability."""
         return self._costs(self.weight)[1]
 
     @property
     def value(self) -> float:
-        """Worst payoff of the mixture over the two MDPs."""
+        """Greater of the mixture's payoffs against the two MDPs."""
         return self._worst(self.objective, self.condition)
 
     def policy(self, player: Player) -> MixedPolicy:
@@ -276,7 +276,7 @@ def cheapest_crossing(
     right: Sequence[BestResponse],
     position: Callable[[BestResponse], float],
 ) -> tuple[BestResponse, BestResponse, float, float]:
-    """Find the lottery of least J_obj over two policies such that its mean position is 0.
+    """Find the lottery of least J_obj over two policies whose positions have the mean 0.
 
     Args:
         left: policies with positions <= 0, up to rounding.

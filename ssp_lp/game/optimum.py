@@ -88,7 +88,7 @@ class Threshold:
 
     @property
     def condition(self) -> float:
-        """J_cond of the mixture."""
+        """J_cond of the mixture: the discounted failure probability."""
         return sum(w * r.condition for w, r in zip(self.weights, self.members, strict=True))
 
 

@@ -119,7 +119,7 @@ class BestResponse:
 
     @property
     def condition(self) -> float:
-        """J_cond(x'; pi)."""
+        """J_cond: the policy's discounted failure probability."""
         return self.origin + self.failing
 
     @property
@@ -330,7 +330,7 @@ class Player:
 
     @property
     def tails(self) -> LayeredTails:
-        """The policies that are followed beyond M: those that fail least and most."""
+        """The policies of least and of greatest failure, which are followed beyond M."""
         return self.outer_tails[1]
 
     @cached_property
@@ -385,7 +385,7 @@ class Player:
         return float(steps[-1]) if self.base.by_steps else float(self.base.width)
 
     def totals(self, cap: float) -> Totals:
-        """Return the totals below M = ``cap``, and those at which the tails take over.
+        """Return the totals below M = ``cap``, and the first ones beyond, where the tails begin.
 
         Raises:
             ModelError: the totals are too many.

@@ -113,7 +113,7 @@ def reachable_part(process: ExplicitProcess, start: FloatArray) -> ReachablePart
 class Contraction:
     """A process in which each free end component is merged to one node.
 
-    Its pairs are those of the process that lie in no free end component, sorted by node.
+    The pairs inside these components are removed. The other pairs are sorted by node.
     """
 
     dynamics: Dynamics  # of the nodes

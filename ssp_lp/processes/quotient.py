@@ -46,7 +46,7 @@ from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
 class Quotient:
     """The nodes of a model and the pairs that leave them, sorted by node.
 
-    *Pairs* are those of the quotient, unless they are called model pairs.
+    *Pairs* are pairs of the quotient; pairs of the model are called model pairs.
     """
 
     model: SSP

@@ -89,7 +89,7 @@ class Augmented(ABC):
     @property
     @abstractmethod
     def live(self) -> FailureLabelled | AccumulatedCost:
-        """One copy of the live part."""
+        """One copy of the live part: the model without goals and dead-ends."""
 
     @property
     def copies(self) -> int:
@@ -221,7 +221,7 @@ class Augmented(ABC):
 
 @dataclass(frozen=True, eq=False)
 class LabelledModel(Augmented):
-    """The process of case M: its states are those of runs that have not failed yet."""
+    """The process of case M: its states are those of the model while a run has not failed."""
 
     inner: FailureLabelled
     discount: float | None

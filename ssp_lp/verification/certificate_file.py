@@ -188,8 +188,7 @@ def _refused(problem: Problem, why: str) -> ModelError:
 class Statement:
     """A problem's question and model in the format of certificate files.
 
-    The model is the one without time: a horizon is a field of the question, not a part of the
-    states.
+    The model has no copies of states for different times: a horizon is a field of the question.
     """
 
     def __init__(self, problem: Problem) -> None:

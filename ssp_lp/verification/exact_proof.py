@@ -77,7 +77,7 @@ class Member(NamedTuple):
 
 
 class _Lottery(NamedTuple):
-    """The best lottery over known members, and the prices of the rows there."""
+    """The best lottery over known members, and the prices of the rows at this optimum."""
 
     weights: list[Fraction]  # [members]; empty if no lottery satisfies the rows
     prices: list[Fraction]  # [rows]; if infeasible, every member violates the rows at them
