@@ -630,10 +630,10 @@ def _lost_costs(
     survival: float,
     free: BoolArray | None = None,
 ) -> FloatArray:
-    """Return the expected cost from each node from which the goal is out of reach, [nodes].
+    """Return the expected cost to come at each node from which the goal is out of reach, [nodes].
 
     It is the charge of failing. With ``DEAD_ENDS`` it is the stage costs until a dead-end is
-    entered, infinite if a run may pay for ever. At other nodes it is 0.
+    entered, infinite if a run may pay for ever. At nodes that can reach the goal it is 0.
 
     Args:
         chain: chain of the policy.

@@ -87,9 +87,9 @@ def give_up_compiling() -> None:
 def _load() -> bool:
     """Load numba once.
 
-    Ctrl-C is deferred for the second that loading takes: a partly loaded numba would remain so, and
-    every later loop of the process would fail ("module 'numba' has no attribute 'core'"). After any
-    other exception from outside, such as a caller's alarm, numba is not used any more.
+    Ctrl-C is deferred until numba is loaded, since a partly loaded numba would make every later
+    loop of the process fail ("module 'numba' has no attribute 'core'"). After any other exception
+    from outside, such as a caller's alarm, numba is not used any more.
     """
     try:
         with _interrupts_deferred():
@@ -263,9 +263,9 @@ class _Loops:
     def _record(self) -> None:
         """Add this process's numbers of entries to those of all processes, and read the result.
 
-        The record is a file beside numba's cache. An unreadable file counts as empty. If the file
-        cannot be written, the process counts only its own entries. If two processes write at the
-        same time, the later numbers are kept.
+        The record is a file beside numba's cache; an unreadable file counts as empty. If the file
+        cannot be written, only this process's entries count. If two processes write at the same
+        time, the later numbers are kept.
         """
         self.unrecorded = 0.0
         for place in self.places or ():

@@ -452,11 +452,11 @@ class PartitionedProcess(PricingProblem):
         return Proof(float(weights[1]), float(weights[1]), bound, values)
 
     def _lowered(self, weights: FloatArray, values: FloatArray) -> FloatArray:
-        """Reduce values to a sub-solution (no value exceeds its backup), which one backup confirms.
+        """Reduce values until none exceeds its backup, as one backup of all rows confirms.
 
-        The values move towards a constant sub-solution by the least share s that suffices, which
-        leaves a slack of s * g at a step of cost g. At steps of cost 0, which get no slack, values
-        are lowered to those of the successors. A small additional reduction lets these sweeps end.
+        The values move towards a constant lower bound by the least share s that suffices, which
+        leaves a slack of s * g at a step of cost g. At steps of cost 0 values are lowered to those
+        of the successors, and by a little more so that the sweeps end.
         """
         dynamics, greatest, n = self.dynamics, self.ranks.greatest, self.halo.n_own
         cost = weighted(self.rewards, weights)

@@ -257,11 +257,10 @@ def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
 def _closest_to_equilibrium(
     game: Game, responses: Sequence[BestResponse]
 ) -> tuple[BestResponse | None, BestResponse | None]:
-    """Find the two policies of the mixture that is best among those with equal payoffs.
+    """Find the rising and the falling policy whose mixture with equal payoffs is cheapest.
 
-    A policy is the point (J_obj, (eta / epsilon) J_cond), its payoffs against the two MDPs. A
-    mixture has equal payoffs where the segment between two points, one on each side of the
-    diagonal, meets the diagonal. A policy returned is None if no point lies on its side.
+    A policy rises if its payoff does not decrease with alpha. The policy of a kind is None if no
+    response is of this kind.
     """
     rising = [r for r in responses if game.rises(r)]
     falling = [r for r in responses if not game.rises(r)]

@@ -368,12 +368,10 @@ def find_optimum(
 
 
 def _slack_bound_of_optimum(player: Player, ratio: float, budget: float, tolerance: float) -> float:
-    """Prove a lower bound of every policy's cost given success, a little below a given ratio.
+    """Prove a lower bound, a little below a given ratio, of every policy's cost given success.
 
-    A ratio c is proved if failing surely is optimal when failing costs c. Slightly below the
-    optimal ratio this holds by a margin, which is usually greater than the rounding errors. If it
-    is not, the bound is reduced by the amount by which a policy within the budget may be better
-    than failing.
+    A ratio is proved if failing surely is optimal when failing costs this ratio. If rounding errors
+    prevent the proof, the bound is lowered by what a policy within the budget may gain by them.
     """
     best = 0.0
     for share in _MARGINS:

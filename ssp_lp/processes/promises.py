@@ -47,8 +47,8 @@ class _Total(Followed):
         """Return the automaton that follows the total of a run.
 
         Its values are the possible totals up to the bound, and one for all totals beyond it. With
-        ``passes`` the last step's crossing of the bound has a value of its own. If there are too
-        many totals, amounts are rounded to multiples of a fraction of the bound.
+        ``passes``, the value just after the bound is crossed differs from all later ones. If there
+        are too many totals, amounts are rounded to multiples of a fraction of the bound.
 
         Raises:
             ModelError: an unknown name, or a quantity that is not a total of costs and visits.

@@ -352,10 +352,9 @@ class ConvexProgram:
         return None
 
     def _affine(self, expression: Any) -> FloatArray | None:
-        """Return the coefficients of an affine expression, [pairs + 2].
+        """Return the coefficients of ``x``, that of ``scale``, and the constant, [pairs + 2].
 
-        The order is: the coefficients of ``x``, that of ``scale``, the constant. The result is None
-        if the expression is not affine or has other variables.
+        The result is None if the expression is not affine or has other variables.
         """
         variables, own = expression.variables(), {id(self.x), id(self.scale)}
         if not expression.is_affine() or not own.issuperset(map(id, variables)):
