@@ -307,10 +307,9 @@ class _Optimum:
 
     @cached_property
     def ends(self) -> tuple[FloatArray, float]:
-        """Two charges in the Lagrangian: of entering each state, [states], and of the discount.
+        """Charges in the Lagrangian: of entering each state, [states], and of an end by discount.
 
-        The first does not include the value of the state. The second is the charge of a run that
-        the discount ends.
+        The charge of entering a state does not include the state's value.
         """
         quotient = self.measure.program.augmented.quotient
         model, goal, dead = self.problem.model, self.problem.model.goal_mask, quotient.dead
@@ -448,8 +447,8 @@ class _Optimum:
         """Actions whose cost a run is charged when it fails, for each cost in the Lagrangian.
 
         Returns:
-            For each action and cost the weight, a model whose own cost it is, the failing mass, and
-            the range of the action's outcomes.
+            For each action and cost: the weight of the cost, a model with this cost as its own
+            cost, the failing mass, and the range of the action's outcomes.
         """
         if not self.problem.semantics.charge_failing_step:
             return []
@@ -993,7 +992,7 @@ def _in_proportion(shares: FloatArray, places: list[int], place: int) -> dict[in
 def _numbers_of_pair(model: SSP, pair: int, optimum: _Optimum) -> Iterator[Number]:
     """Yield the probabilities of a pair's outcomes, and those costs that affect the optimum.
 
-    If all outcomes of the pair have the same cost, it is one number.
+    If all outcomes of the pair have the same cost, this cost is one number.
     """
     outcomes = [*range(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))]
     state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)

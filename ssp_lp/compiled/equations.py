@@ -589,7 +589,7 @@ def lower_in_order(
         indices: [entries].
         data: [entries].
         exits: [pairs].
-        order: states, ends first, [states].
+        order: states, each after the states that it leads to, [states].
         cost: [pairs].
         epsilon: the machine epsilon.
         values: values to reduce, updated, [states].
@@ -625,7 +625,8 @@ def evaluate_precisely(
         data: [entries].
         exits: [rows].
         rows: the row of each state, [states].
-        order: states, component by component, ends first, [states].
+        order: states, component by component, each component after those that it leads to,
+            [states].
         offsets: offsets of the components in the order, [components + 1].
         most: number of states of the largest component.
         rewards: [rows, rewards].

@@ -24,14 +24,16 @@ def improve_components(
     rows: Rows, order: Array, components: Array, most: int, cost: Array, noise: float,
     choice: Array, values: Array,
 ) -> int:  # fmt: skip
-    """Improve a policy to least values, component by component, ends first.
+    """Improve a policy until its values are least, component by component.
 
-    A component of one state takes its best pair. In a larger component Howard's policy iteration
-    starts from the given policy, which must leave the component.
+    The first components are those that lead to no other. A component of one state takes its best
+    pair. In a larger component Howard's policy iteration starts from the given policy, which must
+    leave the component.
 
     Args:
         rows: the process.
-        order: states, component by component, [states].
+        order: states, component by component, each component after those that it leads to,
+            [states].
         components: offsets of the components in the order, [components + 1].
         most: number of states of the largest component.
         cost: [pairs].
@@ -75,7 +77,7 @@ def improve_acyclic(
 
     Args:
         rows: the process.
-        order: states, ends first, [states].
+        order: states, each after the states that it leads to, [states].
         rewards: [pairs, rewards].
         cost: the weighted sum of the rewards, which is minimised, [pairs].
         keeps: True: evaluate the given pairs without improving them.
@@ -133,7 +135,7 @@ def _improve_component(
     Args:
         rows: the process.
         states: states of the component.
-        place: -1 everywhere; used for positions in the component, [all states].
+        place: working memory, filled with -1, [all states].
         cost: [pairs].
         noise: relative gain up to which the present pair is kept.
         choice: pairs of the policy, improved in place, [all states].

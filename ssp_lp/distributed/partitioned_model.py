@@ -196,8 +196,8 @@ class PartitionedModel:
                 secondary costs by name.
             tolerance: relative gap to reach.
             progress: a callback, see ``solve``; called on the first rank.
-            checkpoint: a folder in which every policy is saved when it is found, by each rank its
-                part; a later run of the same problem, on any number of ranks, starts from them.
+            checkpoint: a folder in which each rank saves its part of every policy that is found; a
+                later run of the same problem, on any number of ranks, starts from these policies.
 
         Raises:
             ModelError: the ranks state different problems, or the problem needs the whole graph.

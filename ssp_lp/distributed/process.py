@@ -366,7 +366,9 @@ class PartitionedProcess(PricingProblem):
         return np.where(lost, self._exits, choice).astype(np.int32)
 
     def _staying(self, choice: IntArray) -> IntArray:
-        """Replace giving up by a pair inside a free component, where this leads to other pairs.
+        """Return the policy without giving up in free components from which it can go on.
+
+        There giving up is replaced by a pair that moves within the component.
 
         Args:
             choice: a pair of each own node, [own nodes].

@@ -124,7 +124,7 @@ class FailureSemantics:
         return self.measure is not None and self.measure.maximised
 
     def charge(self, ratio: bool) -> Charge | None:
-        """Return the charge of the total cost at the goal; None in case M without a measure."""
+        """Return the charge of total costs at the goal; None in case M, except with a measure."""
         if self.measure is not None:
             return self.measure.charge
         return TOTAL_COST if ratio else None

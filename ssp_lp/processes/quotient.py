@@ -343,9 +343,9 @@ class Spread:
     """The quotient in which no component is merged, with a map of its pairs to the merged quotient.
 
     Methods use the merged quotient and count departures from its nodes. Programs that a user sees
-    use the unmerged quotient and count visits of its pairs, also of pairs within a component. In
-    both, staying in a component for ever is giving up; unmerged, each of its states has a pair for
-    this.
+    use the unmerged quotient and count visits of its pairs, also of pairs within a component. A
+    policy that stays in a component for ever gives up; in the unmerged quotient each state of the
+    component has a pair for giving up.
     """
 
     quotient: Quotient  # of the same live states, none merged
