@@ -117,14 +117,14 @@ class SSP(Graph, ReadOnlyCopies):
         """Build a model from nested dicts ``{state: {action: [(probability, successor, cost)]}}``.
 
         Args:
-            transitions: every state that is not a goal must be a key, unless states without
-                actions are accepted. Actions of a goal state are ignored: the episode ends there. A
-                cost may be a dict of named costs, ``{"time": 4.0, "fuel": 1.5}``, with the same
-                names everywhere. Probabilities and costs may be expressions of a
+            transitions: every state that is not a goal must be a key, unless states without actions
+                are accepted. Actions of a goal state are ignored: the episode ends there. A cost
+                may be a dict of named costs, ``{"time": 4.0, "fuel": 1.5}``, with the same names
+                everywhere. Probabilities and costs may be expressions of a
                 :class:`ssp_lp.Parameter`.
             goal: the labels of the goal states.
             cost: if costs have names, the name of the model's own cost, which problems minimise;
-                ``secondary_cost("fuel")`` limits another one.
+                another one is limited by ``secondary_cost("fuel") <= 3``.
             state_labels: names for sets of states ("wall"), used in reports and limits; each with
                 its states, or a predicate on states.
             dead_ends: states from which no action reaches the goal, given by their labels or by a
@@ -793,7 +793,7 @@ class SSP(Graph, ReadOnlyCopies):
         raise ModelError(self.no_such_action(state, action))
 
     def no_such_action(self, state: int, action: Hashable) -> str:
-        """Return an error text for an action that a state lacks, with the nearest ones."""
+        """Return an error text for an action that a state lacks; it suggests similar actions."""
         nearest = did_you_mean(action, map(self.action_of, self.pairs_of(state)), "it has")
         return f"state {self.states[state]!r} has no action {action!r}{nearest}"
 
@@ -808,15 +808,15 @@ class SSP(Graph, ReadOnlyCopies):
         return self.describe_pair(pair)
 
     def of_all_states(self, made: FloatArray) -> FloatArray:
-        """Return the values of all states, [states], given those of the states held here.
+        """Return values of all states, [states], from those of the states that this object holds.
 
-        An ordinary model holds all pairs, so the values are returned unchanged. A model that is
+        An ordinary model holds all states, so the values are returned unchanged. A model that is
         divided among processes overrides this to join the values of its parts.
         """
         return made
 
     def staying_free(self, free: BoolArray) -> BoolArray:
-        """Return a mask of the states of end components that consist of free pairs, [states].
+        """Return a mask of the states that lie in an end component of free pairs, [states].
 
         Args:
             free: mask of the free pairs, [pairs].
@@ -908,7 +908,7 @@ class ImplicitSSP(SSP):
 
     @property
     def assumption(self) -> str:
-        """Assumption behind every solution, that the given bounds hold, in words; "": no bounds."""
+        """Assumption of every solution in words: the given bounds hold; "" if none is given."""
         words = ("no policy reaches the goal for less than cost_bound, given that it does",
                  "no policy fails less than failure_bound")  # fmt: skip
         given = zip(words, self.bounds, strict=True)
@@ -930,10 +930,10 @@ def check_model(model: object, verb: str) -> None:
 
 
 class FlatModel:
-    """A model under construction: states found so far, flat lists of expanded ones. Mutable."""
+    """A model under construction: the states found so far, and flat lists of the pairs. Mutable."""
 
     def __init__(self, states: list[Any], cost: str | None, *, closed: bool = False) -> None:
-        """Begin with distinct states; if ``closed``, any other state is an error.
+        """Begin with given states, all different; if ``closed``, every further state is an error.
 
         Args:
             states: states that are known from the beginning.
