@@ -402,7 +402,7 @@ def drain(
 def _drain_one_by_one(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> IntArray:
-    """Continue :func:`drain` one state at a time until no state waits, or many; return those."""
+    """Continue :func:`drain` one state at a time; if many states wait to be closed, return them."""
     before, waiting = model.predecessors, deque(closed_states.tolist())
     is_open, counts = open_pairs.data, open_counts.data  # faster entry by entry
     home_of, offsets = model.pair_state.data, before.offsets.data
