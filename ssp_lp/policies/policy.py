@@ -379,7 +379,9 @@ class Policy(_Playable):
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None
     ) -> tuple[IntArray, IntArray]:
-        """Draw a decision for each episode; return its pair and the memory after it, [episodes].
+        """Draw a decision for each episode; return the pairs and the memories after them.
+
+        Both arrays have an entry for each episode, [episodes].
 
         Raises:
             ModelError: the policy has no decision in one of the states.
