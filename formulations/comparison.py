@@ -44,10 +44,10 @@ class CriterionRow:
     def numbers(self) -> tuple[float | None, ...]:
         """Numbers of a compared criterion: objective, costs, failure probability and price.
 
-        Each row follows the semantics of its criterion. By default ``MCMP`` and ``ConstrainedCost``
-        charge the step at which failure is declared. The other criteria do not, so a policy may
-        cost less in their rows.
-        ``FinitePenalty`` and ``AlphaMCMP`` let a policy give up anywhere.
+        Rows are not comparable in every respect, since each follows the default semantics of its
+        criterion. ``MCMP`` and ``ConstrainedCost`` charge the step at which failure is declared.
+        The other criteria do not, so a policy may cost less in their rows. ``FinitePenalty`` and
+        ``AlphaMCMP`` let a policy give up anywhere.
         """
         solution = self.solution
         if solution is None:

@@ -25,10 +25,10 @@ class CostBudgetedMaxProb(Formulation):
     """Maximise the probability of reaching the goal subject to ``E[cost] <= cost_budget``.
 
     Problem:
-        max over policies of Pr(the goal is ever reached) among those whose expected total cost
-        until failure is declared is at most the budget: MAXPROB with a bounded resource, the same
-        as ``MaxProb(model, start, constraints={"cost budget": expected_cost() <= cost_budget})``
-        unless ``give_up`` says otherwise.
+        max of Pr(the goal is ever reached) over the policies whose expected cost until failure is
+        declared is at most the budget: MAXPROB with a bounded resource. The same problem is
+        ``MaxProb(model, start, constraints={"cost budget": expected_cost() <= cost_budget})``, with
+        the same ``give_up``.
 
     Program:
         minimise <failure, x> subject to flow balance, <cost, x> <= cost_budget, x >= 0, where x
@@ -41,7 +41,7 @@ class CostBudgetedMaxProb(Formulation):
         ``InfeasibleError``.
 
     Semantics:
-        that of ``MaxProb``: wandering for ever is failure. The cost is counted until failure is
+        as in ``MaxProb``, wandering for ever is failure. The cost is counted until failure is
         declared, in expectation over all runs, and giving up is not charged. ``give_up`` says where
         giving up is allowed:
 
@@ -53,7 +53,8 @@ class CostBudgetedMaxProb(Formulation):
         - "anywhere": in every state, at no cost (flows may vanish in any state), so that no budget
           is too small.
 
-        The greatest probability never falls from "dead_ends" to "attention" to "anywhere".
+        The greatest probability with "attention" is at least that with "dead_ends", and at most
+        that with "anywhere".
 
     Reference:
         Altman: Constrained Markov decision processes, 1999; Forejt, Kwiatkowska, Norman, Parker,
@@ -67,8 +68,8 @@ class CostBudgetedMaxProb(Formulation):
         cost_budget: the largest expected total cost, a number, finite and not negative.
         give_up: where a policy may give up, see above: "attention" (the paper), "dead_ends" or
             "anywhere".
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the greatest probability as ``objective``, a certified

@@ -50,8 +50,8 @@ class S3P(Formulation):
         cost_levels: greatest number of distinct total costs that the program counts; None: as many
             as costs and tolerance require. If costs have no common unit, the totals are all sums
             that can occur or, if these are too many, a grid, which leaves a reported gap.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least cost given success as ``objective``, a certified

@@ -109,7 +109,10 @@ class ReadOnlyCopies:
 
 
 def fields_of(record: Any, declared: Any) -> dict[str, Any]:
-    """Return a record's values, not copied, by the names of a dataclass's fields."""
+    """Return the values of a record, name -> value, for the fields of the dataclass ``declared``.
+
+    Values are not copied.
+    """
     return {part.name: getattr(record, part.name) for part in fields(declared)}
 
 
@@ -119,20 +122,23 @@ def least_integer_type(most: int) -> npt.DTypeLike:
 
 
 def narrow(offsets: IntArray) -> IntArray:
-    """Return an array of offsets in 32 bits where they fit, to match scipy's columns."""
+    """Return offsets as 32-bit integers if they fit, as scipy uses for columns."""
     fits = int(offsets[-1]) <= np.iinfo(np.int32).max
     return offsets.astype(np.int32, copy=False) if fits else offsets
 
 
 def unsigned(indices: IntArray) -> npt.NDArray[Any]:
-    """Return an array of non-negative whole numbers viewed as unsigned ones."""
+    """Return a view, as unsigned integers, of an array of whole numbers >= 0."""
     return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)
 
 
 def csr_of(
     data: FloatArray | BoolArray, indices: IntArray, indptr: IntArray, shape: tuple[int, int]
 ) -> sp.csr_array:
-    """Return scipy's sparse matrix of three consistent arrays, without scipy's checks of them."""
+    """Return the sparse matrix made of three arrays, without scipy's checks.
+
+    The arrays must be consistent, as arguments of ``scipy.sparse.csr_array``.
+    """
     matrix = copy(_NO_ROWS)
     vars(matrix).update(data=data, indices=indices, indptr=indptr, _shape=shape)
     return matrix
@@ -150,10 +156,12 @@ def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.i
 
 
 def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.int64], IntArray]:
-    """Return the entries ``offsets[k] : offsets[k + 1]`` of some segments, one after the other.
+    """Return the indices of the entries of some segments, one segment after the other.
+
+    Segment k has the entries ``offsets[k] : offsets[k + 1]``.
 
     Returns:
-        The entries, [entries], and the number of each segment's entries, [segments].
+        The indices, [entries], and the number of entries of each segment, [segments].
     """
     begins = offsets[segments]
     lengths = offsets[segments + 1] - begins
@@ -161,7 +169,10 @@ def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.in
 
 
 def offsets_of(lengths: IntArray) -> IntArray:
-    """Return the starts of adjacent segments, and the end of the last one, [segments + 1]."""
+    """Return the offsets of adjacent segments with given lengths, [segments + 1].
+
+    Segment k has the entries ``offsets[k] : offsets[k + 1]``.
+    """
     offsets = np.zeros(len(lengths) + 1, dtype=np.int64)
     np.add.accumulate(lengths, out=offsets[1:])
     return offsets
@@ -181,17 +192,22 @@ def run_starts(values: IntArray) -> BoolArray:
 
 
 def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
-    """Return the segment ``offsets[k] : offsets[k + 1]`` that each entry lies in, [entries]."""
+    """Return for each entry the number of its segment, [entries].
+
+    Segment k has the entries ``offsets[k] : offsets[k + 1]``.
+    """
     return np.arange(len(offsets) - 1, dtype=np.int32).repeat(offsets[1:] - offsets[:-1])
 
 
 def drawn_in_segments(
     sums: FloatArray, begins: IntArray, ends: IntArray, rng: np.random.Generator
 ) -> IntArray:
-    """Draw one entry of each segment, with a probability proportional to it, [segments].
+    """Draw the index of one entry in each segment, [segments].
+
+    An entry is drawn with a probability proportional to its value.
 
     Args:
-        sums: running sums of the array's entries, after a leading 0, [entries + 1].
+        sums: running sums of the entries' values, after a leading 0, [entries + 1].
         begins: first entry of each segment, [segments].
         ends: entry after the last one of each segment, [segments].
         rng: draws a number for each segment.
@@ -201,7 +217,10 @@ def drawn_in_segments(
 
 
 def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
-    """Sum ``values`` over the segments ``offsets[k] : offsets[k + 1]``; empty segments give 0."""
+    """Return the sum of each segment's values, [segments]; 0 if the segment is empty.
+
+    Segment k has the entries ``offsets[k] : offsets[k + 1]``.
+    """
     result = np.zeros(len(offsets) - 1)
     filled = (offsets[1:] > offsets[:-1]).nonzero()[0]
     if filled.size:
@@ -210,7 +229,10 @@ def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
 
 
 def segment_minima(values: FloatArray, offsets: IntArray) -> FloatArray:
-    """Return the minimum of each segment ``offsets[k] : offsets[k + 1]``; infinite if empty."""
+    """Return the minimum of each segment's values, [segments]; infinite if the segment is empty.
+
+    Segment k has the entries ``offsets[k] : offsets[k + 1]``.
+    """
     result = np.full(len(offsets) - 1, np.inf)
     filled = (offsets[1:] > offsets[:-1]).nonzero()[0]
     if filled.size:
@@ -219,14 +241,20 @@ def segment_minima(values: FloatArray, offsets: IntArray) -> FloatArray:
 
 
 def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) -> IntArray:
-    """Return the position of the first minimal value, counted within each non-empty segment."""
+    """Return the index of the first least entry of each non-empty segment.
+
+    Args:
+        values: [entries].
+        minima: minimum of each segment, [segments].
+        offsets: segment k has the entries ``offsets[k] : offsets[k + 1]``, [segments + 1].
+    """
     segment = segment_ids(offsets)
     attained = np.flatnonzero(values <= minima[segment])
     return attained[np.flatnonzero(np.diff(segment[attained], prepend=-1))]
 
 
 def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return a weighted sum of an array's columns, without the threads of a matrix product.
+    """Return the weighted sum of an array's columns, [rows], without the threads of ``@``.
 
     Args:
         columns: [rows, columns]; few columns.
@@ -240,7 +268,9 @@ def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def weighted_rounding(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the rounding error of weighted sums relative to their terms; 0: exact, [rows].
+    """Return the rounding error of weighted sums, relative to the size of their terms, [rows].
+
+    It is 0 for sums that are exact.
 
     Args:
         columns: [rows, columns]; few columns.
@@ -257,7 +287,7 @@ def weighted_rounding(columns: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def expected(start: FloatArray, values: FloatArray) -> npt.NDArray[Any]:
-    """Return ``start @ values`` of arrays over states, fast for a start that is mostly zeros.
+    """Return ``start @ values``, computed only where the start is not 0.
 
     Args:
         start: distribution, [states].
@@ -271,14 +301,14 @@ _SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 
 def exact_sum(a: Any, b: Any) -> tuple[Any, Any]:
-    """Return ``a + b`` of numbers or arrays, rounded, and the rounding error (Knuth)."""
+    """Return the rounded sum of numbers or arrays, and its rounding error (Knuth)."""
     total = a + b
     back = total - a
     return total, (a - (total - back)) + (b - back)
 
 
 def exact_product(a: Any, b: Any) -> tuple[Any, Any]:
-    """Return ``a * b`` of numbers or arrays, rounded, and the rounding error (Dekker)."""
+    """Return the rounded product of numbers or arrays, and its rounding error (Dekker)."""
     total = a * b
     c, d = _SPLIT * a, _SPLIT * b
     a_high, b_high = c - (c - a), d - (d - b)
@@ -291,7 +321,9 @@ CHUNK = 1 << 22
 
 
 def segment_chunks(offsets: IntArray) -> Iterator[slice]:
-    """Yield slices of whole segments of at most ``CHUNK`` entries in all, or of one longer segment.
+    """Yield slices of consecutive segments with at most ``CHUNK`` entries in all.
+
+    A segment with more entries is a slice by itself.
 
     Args:
         offsets: the entries of segment k are ``offsets[k] : offsets[k + 1]``, [segments + 1].
