@@ -115,11 +115,13 @@ def compare_criteria(
         failure_budgets: budgets of ``MCMP`` and ``S3P``, in addition to least failure.
         penalties: penalties D of ``FinitePenalty``, in units of cost.
         reach_fractions: shares of the greatest goal probability for ``AlphaMCMP``.
-        cost_bounds: bounds of ``CostBoundedReach``; a row without a budget and one for each budget.
-        levels: levels of ``CostQuantile`` and ``CVaR``; rows for least failure and for each budget.
+        cost_bounds: bounds of ``CostBoundedReach``; for each bound a row without a failure budget,
+            and one for each budget.
+        levels: levels of ``CostQuantile`` and ``CVaR``; for each level a row for least failure, and
+            one for each budget.
         exponential_utilities: pairs (risk factor, goal bonus) for ``EGUBS``.
-        limits: limits of ``ConstrainedCost``; rows for least failure and for each budget.
-        horizon: number of steps within which the goal counts, in every row; None: unlimited.
+        limits: limits of ``ConstrainedCost``; a row for least failure, and one for each budget.
+        horizon: greatest number of steps to the goal, in every row; None: unlimited.
         verbose: show progress (``ssp_lp.progress_shown``).
 
     Returns:

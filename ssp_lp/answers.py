@@ -385,7 +385,7 @@ class _Crew:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        """Shut down the built-in pool. Threads of another executor release their models."""
+        """Shut down the built-in pool, and release the models that threads of an executor hold."""
         unloaded.cache_clear()  # of threads
         if raised[0] is not None:
             self._end()

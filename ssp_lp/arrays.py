@@ -185,7 +185,7 @@ def sorted_unique(values: IntArray) -> IntArray:
 
 
 def run_starts(values: IntArray) -> BoolArray:
-    """Return a mask of the entries that differ from the entry before them."""
+    """Return a mask of the first entry, and of all entries that differ from the entry before."""
     begins = np.ones(values.size, dtype=np.bool_)
     np.not_equal(values[1:], values[:-1], out=begins[1:])
     return begins

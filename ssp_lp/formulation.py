@@ -249,10 +249,10 @@ class Formulation(Problem):
 
     @cached_property
     def tracked(self) -> Self:
-        """The formulation restated on states that follow its promises and tasks.
+        """The formulation restated on a product with automata for its promises and tasks.
 
-        These states are (state, value of an automaton). The horizon is unchanged. Without promises
-        and tasks this is the formulation itself.
+        The product's states are (state, value of an automaton). The horizon is unchanged. Without
+        promises and tasks this is the formulation itself.
         """
         if not self.all_constraints and self.quantity is None:
             return self
@@ -294,7 +294,7 @@ class Formulation(Problem):
 
     @property
     def measure(self) -> Measure | None:
-        """Function of the total cost's distribution that is minimised instead of the mean, or None.
+        """Function of the total cost's distribution that is optimised instead of the mean, or None.
 
         Raises:
             ModelError: an arrival cost is not counted given success, or is discounted.

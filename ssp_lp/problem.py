@@ -136,7 +136,7 @@ class Problem(ReadOnlyCopies):
 
     @property
     def tracked(self) -> Problem:
-        """The problem restated on states that follow its promises and tasks, if it has any."""
+        """The problem restated on a product with automata for its promises and tasks, if any."""
         return self
 
     @property
@@ -312,9 +312,9 @@ class FailureBudget:
     """Descriptor of the field ``failure_budget``, which may be replaced by ``reach_fraction``.
 
     If ``reach_fraction`` is given, the budget is computed from a share of the greatest goal
-    probability. This is done on first use, since stating a problem solves nothing: by ``solve``
-    within its own time limit, or on reading the attribute within some seconds, after which
-    OutOfTimeError is raised.
+    probability. This is done on first use, since stating a problem solves nothing. ``solve`` does
+    it within its own time limit. Reading the attribute does it within some seconds, or raises
+    OutOfTimeError.
     """
 
     def __set__(self, problem: object, value: float | None) -> None:
@@ -323,7 +323,7 @@ class FailureBudget:
         vars(problem)["_stated_budget"] = None if is_followed else as_float(value)
 
     def __get__(self, problem: Any, owner: type[object]) -> float | None:
-        """Return the budget; on the class the default, None, which means least failure."""
+        """Return the budget; if read from the class, None, the default (least failure)."""
         if problem is None:
             return None
         fields, key, share = vars(problem), "_stated_budget", problem.reach_fraction

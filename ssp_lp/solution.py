@@ -99,7 +99,10 @@ class Solution(Facts, ReadOnlyCopies):
 
     @cached_property
     def evaluation(self) -> Evaluation:
-        """Evaluation of the policy on the model, within the time limit of ``solve`` or a second.
+        """Evaluation of the policy on the model, computed on first use.
+
+        The computation may take as long as the time limit of ``solve``, or a second if that is
+        longer.
 
         Raises:
             OutOfTimeError: it takes longer; ``evaluate(policy, problem)`` has no time limit.
@@ -176,7 +179,7 @@ class Solution(Facts, ReadOnlyCopies):
 
         Args:
             by: maps a :class:`Number` to a group. The numbers of a group change together, since one
-                quantity may stand in many places. None leaves a number out.
+                quantity may stand in many places. A number that is mapped to None is left out.
             time_limit: seconds, after which the remaining derivatives are None.
 
         Raises:
@@ -210,9 +213,9 @@ class Solution(Facts, ReadOnlyCopies):
         """Return the policy extended to every state that has actions.
 
         Where the plan has no decision, the policy takes the best action at the optimal price of
-        failing, in case M without giving up. Without a price it takes the action of least failure.
-        These actions are computed on first use. :func:`ssp_lp.acting_everywhere` describes the
-        actions after giving up and in dead-ends.
+        failing, with costs counted as in case M and without giving up. If there is no price, it
+        takes the action of least failure. These actions are computed on first use.
+        :func:`ssp_lp.acting_everywhere` describes the actions after giving up and in dead-ends.
 
         Args:
             default: takes precedence over these actions: an action, for all states that have it,
@@ -302,7 +305,7 @@ class Solution(Facts, ReadOnlyCopies):
         """Decrease of the optimum c* per unit of the failure budget: -d c* / d budget.
 
         In case M this is the price of failure without the penalty, and in case S this price divided
-        by 1 - budget. If a probability is maximised, it is the increase of the optimum. None
+        by 1 - budget. If a probability is maximised, the value is the increase of the optimum. None
         without a price, or if the penalty is infinite.
         """
         price, budget = self._multiplier, self.problem.failure_budget
@@ -354,9 +357,10 @@ class Solution(Facts, ReadOnlyCopies):
     def randomised_policy(self) -> StochasticPolicy | MixedPolicy:
         """The stationary randomised policy that is equivalent to the lottery (section 2.2).
 
-        It visits each augmented state equally often in expectation. These are the model's states in
-        case M, and (state, accumulated cost) in case S. If totals are rounded to levels, its cost
-        differs from the lottery's by rounding. With a horizon it also remembers the time.
+        It visits each augmented state as often as the lottery does, in expectation. These are the
+        model's states in case M, and (state, accumulated cost) in case S. If totals are rounded to
+        levels, its cost differs from the lottery's by rounding. With a horizon it also remembers
+        the time.
         """
         policy = equivalent_randomised_policy(self.policy, self.problem)
         if policy.model is self.problem.model:

@@ -95,15 +95,15 @@ def tighten(
 
     Args:
         problem: ``MCMP`` with a failure budget.
-        box: box of the problem's model.
+        box: boxes of the problem's model.
         tolerance: relative gap at which to stop, and distance below which two prices count as
             equal.
         time_limit: seconds after which the best lottery so far is returned.
 
     Raises:
-        ModelError: another criterion, no budget, a share of the goal, or as ``FinitePenalty`` over
-            boxes: constraints, a horizon, a discount, ``give_up="dead_ends"``, a charge that
-            depends on the successor.
+        ModelError: another criterion, no budget, or a share of the goal probability; and as in
+            ``FinitePenalty`` over boxes: constraints, a horizon, a discount,
+            ``give_up="dead_ends"``, or a charge that depends on the successor.
         InfeasibleError: every policy fails with more than the budget at some probabilities.
         OutOfTimeError: the time limit passed before there was a lottery.
 

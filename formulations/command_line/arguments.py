@@ -95,7 +95,8 @@ def _steps_argument(text: str) -> int | str | None:
 def option(name: str, value: object = ...) -> str:
     """Return the command-line option for a Python argument.
 
-    Examples are ``--discount 0.9`` and ``--no-check``; without a value only the option's name.
+    Examples are ``--discount 0.9`` and ``--no-check``. If no value is given, only the option's name
+    is returned.
     """
     flag = name.replace("_", "-")
     if isinstance(value, bool):

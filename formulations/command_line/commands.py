@@ -124,7 +124,7 @@ def _model_of_environment(asked: Asked) -> _CommandModel:
 
 
 def _value_for_model(word: str) -> Any:
-    """Return the Python or JSON value that a word is written for, else the word itself."""
+    """Return the value that a word stands for in Python or JSON, or else the word itself."""
     for read in (literal_eval, json.loads):
         with suppress(ValueError, SyntaxError):
             return read(word)

@@ -216,7 +216,7 @@ def save_model(model: SSP, path: FilePath) -> None:
 
 
 class StoredModel:
-    """A file of :func:`save_model` from which blocks of states are read without the rest."""
+    """A file of :func:`save_model`, of which any block of states can be read by itself."""
 
     def __init__(self, path: FilePath) -> None:
         """Read the goals, the sets of states and the number of states.
@@ -334,7 +334,8 @@ def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> l
 def save_policy(policy: AnyPolicy, path: FilePath) -> None:
     """Write a policy to an archive: compressed arrays with a header in JSON, no pickle.
 
-    The file has the model's :func:`fingerprint`, not the model: pass it to :func:`load_policy`.
+    The file has the model's :func:`fingerprint`, not the model: pass the model to
+    :func:`load_policy`.
 
     Args:
         policy: any policy of this library, such as that of a solution, or a lottery over such
@@ -357,7 +358,8 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
     Args:
         path: a file of :func:`save_policy`.
         model: the model that the policy acts on. If the policy carries the memory of a product,
-            give the product, except that the product of a horizon is rebuilt from the model.
+            give the product. For a policy with a horizon give the model itself: its product is
+            rebuilt.
         check: False: the model may differ (other probabilities, costs or names), as long as every
             state has as many actions as before.
 
@@ -409,8 +411,8 @@ def _policy_in(
     def meant(value: Any) -> Any:
         """Return the value that a field's entry stands for.
 
-        A string is the name of an array, a list or a whole number are numbers of policies, and any
-        other entry is the value itself.
+        A string is the name of an array. A whole number is the number of a policy, and a list holds
+        such numbers. Any other entry is the value itself.
         """
         if isinstance(value, str):
             return arrays[value]
@@ -540,7 +542,7 @@ def save_solution(solution: Solution, path: FilePath) -> None:
         path: name of the file, ``solution.npz``, without a further ending.
 
     Raises:
-        ModelError: its policy is of a class that cannot be saved.
+        ModelError: the solution's policy is of a class that cannot be saved.
     """
     as_solved(solution, "save_solution")
     problem, records, values = solution.problem, _PolicyRecords(), solution.value_function

@@ -186,7 +186,7 @@ class Controller:
             self._alone = 2
 
     def _choice(self, state: int) -> int:
-        """Return the number of the action in a state, or a negative code; a random one is drawn."""
+        """Return the number of the action in a state, or a negative code; draw a random action."""
         member, is_over = self._current(), self._alone == 1
         acts = "otherwise" in member
         is_over |= acts and state in member["ends"]

@@ -79,8 +79,8 @@ class EnvironmentSSP(SSP):
     def label(self, state: Hashable, terminated: bool) -> Hashable:
         """Return the model's state that stands for a state of the environment after a step.
 
-        If only some steps into a state terminate, a step that does so leads to its end, ("end",
-        state).
+        If only some steps into a state terminate, a step that does so leads to the end of the
+        state, ("end", state).
         """
         return (END, state) if terminated and state in self.ends else state
 
@@ -645,8 +645,8 @@ def rollout(
     goes on, and counts as failed whatever follows.
 
     Args:
-        env: the environment; it is reset before each episode, and not closed. One that renders each
-            step, or a wrapper that records, shows the policy at play.
+        env: the environment; it is reset before each episode, and not closed. An environment that
+            renders each step, or a wrapper that records, shows the policy at play.
         policy: a policy of a problem on ``from_gymnasium(env).model``, or on a product with it.
         episodes: number of episodes.
         seed: seed of the environment and of the policy's draws; equal seeds give equal episodes.

@@ -96,7 +96,7 @@ class Boxes(Report, ReadOnlyCopies):
 
         Args:
             model: model made by :meth:`ssp_lp.SSP.from_counts`.
-            confidence: probability that the true probabilities lie in all boxes, in (0, 1).
+            confidence: probability that all intervals contain the true probabilities, in (0, 1).
 
         Raises:
             ModelError: a model without counts, or a confidence out of range.

@@ -262,9 +262,9 @@ class Grid:
 class Distribution(ReadOnlyCopies):
     """A random number, given by its quantile function; independent of all others.
 
-    ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal one. The quantile function may be
-    any non-decreasing vectorised function from levels in (0, 1) to values. :meth:`uniform` and
-    :meth:`discrete` make common distributions.
+    ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal distribution. The quantile function
+    may be any non-decreasing vectorised function from levels in (0, 1) to values. :meth:`uniform`
+    and :meth:`discrete` make common distributions.
     """
 
     quantile: Callable[[FloatArray], npt.ArrayLike]

@@ -155,7 +155,7 @@ class FailureSSP(ProductSSP):
         return np.asarray(self._places[self.after[states] + 2 * taking, pairs])
 
     def giving_up_by(self, pairs: IntArray) -> IntArray:
-        """Return the product's pair that gives up by each original pair; -1: none, [entries]."""
+        """Return for each original pair its copy that gives up; -1: none, [entries]."""
         return np.asarray(self._places[2, pairs])
 
     @cached_property

@@ -158,8 +158,8 @@ def dead_ends(model: SSP) -> BoolArray:
     """Return the dead-ends: states in which a run ends without the goal, [states].
 
     In an ordinary model these are the hopeless states, from which no policy reaches the goal. In a
-    product with the failure label some hopeless states do not end a run, since it may continue
-    after failing; they are not dead-ends.
+    product with the failure label only some hopeless states are dead-ends, since in the others a
+    run may continue after failing.
     """
     label = model.failure_label
     return hopeless_states(model) if label is None else label.ended
@@ -179,9 +179,10 @@ def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
 def attention_states(model: SSP) -> BoolArray:
     """Return the states from which some policy surely avoids the goal, X_{d,or}, [states].
 
-    The greatest set of non-goal states each of which has no action or an action whose successors
-    all lie in the set (section 2.3); it contains the dead-ends. Computed as the complement of the
-    least set that contains the goal and every state all of whose actions may lead into the set.
+    They form the greatest set of non-goal states in which each state has no action, or an action
+    whose successors all lie in the set (section 2.3). Dead-ends belong to the set. The complement
+    is computed: the least set that contains the goals, and every state all of whose actions may
+    lead into the set.
     """
     open_pairs = np.ones(model.n_pairs, dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets)
@@ -200,7 +201,7 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
     Returns:
         A mask of the states, goals included, [states]; a mask of the pairs that never leave them,
         [pairs]; and the policy: for each state one of these pairs, which may lead nearer to the
-        goal, -1 at goals and elsewhere, [states].
+        goal, -1 at goals and outside the mask, [states].
     """
     hopeless = hopeless_states(model) if model.n_outcomes > _MANY_OUTCOMES else None
     return surely_ending(model, model.goal_mask, goal_pairs(model), hopeless)
@@ -283,7 +284,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 
 
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
-    """Return the adjacency matrix of a graph for scipy; one stored number is every weight."""
+    """Return the adjacency matrix of a graph for scipy: every weight is 1, stored once."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape, offsets = (len(offsets) - 1, len(offsets) - 1), narrow(offsets)
     return csr_of(weights, columns.astype(offsets.dtype, copy=False), offsets, shape)
@@ -422,7 +423,7 @@ def _drain_one_by_one(
 def close_pairs(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, pairs: IntArray
 ) -> IntArray:
-    """Close open pairs in place; return the states whose last open pair was closed."""
+    """Close open pairs, in place; return the states that have no open pair left."""
     open_pairs[pairs] = False
     state = model.pair_state[pairs]
     np.subtract.at(open_counts, state, 1)

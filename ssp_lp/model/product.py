@@ -86,7 +86,7 @@ class Memory:
     fails: Callable[[Any], bool] = _never_in_product
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` unless the attributes are functions of these arguments."""
+        """Raise :class:`ModelError` if a function of the memory does not accept its arguments."""
         check_fields(self)
 
 
@@ -178,17 +178,20 @@ class ProductSSP(SSP):
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Original outcome, which is possible, of each outcome of the product, [outcomes]."""
+        """Original outcome of each outcome of the product, [outcomes].
+
+        The product has no outcomes of probability 0.
+        """
         possible = np.flatnonzero(self.original.probabilities > 0.0)
         offsets = np.searchsorted(possible, self.original.outcome_offsets)
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the product's pair of each given state that takes an original pair, [entries].
+        """Return the product's pair by which each given state takes an original pair, [entries].
 
         Args:
             states: states of the product, [entries].
-            pairs: original pair of each entry, a pair of the state's original, [entries].
+            pairs: original pair to take in each of these states, [entries].
         """
         shift = self.pair_offsets[states] - self.original.pair_offsets[self.original_state[states]]
         return np.asarray(pairs + shift)
@@ -503,7 +506,7 @@ class HorizonSSP(ProductSSP):
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
         """Return the states of the product after steps, [episodes].
 
-        After the last step the memory is "out of time", unless the state has no actions.
+        After the last step the memory is "out of time", unless the reached state has no actions.
 
         Raises:
             ModelError: a step leads to a state that does not occur after so many steps.
@@ -532,8 +535,9 @@ def within_steps(
         model: the model. If only surviving counts, its goal is a state that no action leads to.
         steps: number of steps; a goal reached with the last one counts.
         start: states in which episodes may begin; None: every state of the model.
-        survive: True: an episode that takes all steps has reached the goal. Or labels of states
-            that end an episode as a failure although they have actions.
+        survive: True: an episode that takes all steps succeeds. Labels of states: the same, and an
+            episode fails in a state with one of these labels although it has actions. False: only
+            reaching the goal is success.
 
     Returns:
         The product, with states (state, steps taken), and (state, "out of time") after the last

@@ -124,7 +124,7 @@ class SSP(Graph, ReadOnlyCopies):
                 :class:`ssp_lp.Parameter`.
             goal: the labels of the goal states.
             cost: if costs have names, the name of the model's own cost, which problems minimise;
-                another one is limited by ``secondary_cost("fuel") <= 3``.
+                other costs can be limited, ``secondary_cost("fuel") <= 3``.
             state_labels: names for sets of states ("wall"), used in reports and limits; each with
                 its states, or a predicate on states.
             dead_ends: states from which no action reaches the goal, given by their labels or by a
@@ -255,10 +255,10 @@ class SSP(Graph, ReadOnlyCopies):
         """Create a model from its successor function, explored only as far as a problem needs it.
 
         ``solve`` explores from the start and repeats two steps. It solves the explored part, in
-        which states that were found but not expanded (the fringe) reach the goal at the bounds
-        below or fail at no cost. Then it expands the states of the fringe on which the solution
-        depends. If there are none, the solution is optimal for the whole model. States without
-        actions that are not goals are dead-ends.
+        which states that were found but not expanded (the fringe) either reach the goal at their
+        cost bound and failure bound, or fail at no cost. Then it expands the states of the fringe
+        on which the solution depends. If there are none, the solution is optimal for the whole
+        model. States without actions that are not goals are dead-ends.
 
         Args:
             start: a state, or a list or set of states, in which episodes may begin.
@@ -273,15 +273,15 @@ class SSP(Graph, ReadOnlyCopies):
                 is infinite where no policy reaches the goal. If costs have names, it may be
                 ``{name: bound}``. None: 0.
             failure_bound: maps a state to a lower bound of the failure probability of every policy
-                from there, never discounted. None: 0.
+                from there, undiscounted even if the problem has a discount. None: 0.
             growth: factor by which the explored part grows from round to round, above 1; if
                 ``successors`` takes a millisecond or more, 1.25 to 1.5 is faster.
             vectorised: states are whole numbers >= 0, and all functions take an array of them.
-                ``successors`` returns ``{"actions": [states] number of actions of each,
-                "outcomes": [pairs] number of outcomes of each, "successors", "probabilities",
-                "costs": [outcomes]}``; actions are named 0, 1, ... within each state.
+                ``successors`` returns ``{"actions": [states] number of actions of each, "outcomes":
+                [pairs] number of outcomes of each, "successors", "probabilities", "costs":
+                [outcomes]}``; actions are named 0, 1, ... within each state.
             state_labels: names for sets of states, as in ``from_transitions``; with ``vectorised``
-                by predicates on one state.
+                each set is a predicate on one state.
 
         Returns:
             The model, for ``MCMP(model, start, ...)`` and other criteria of costs and probabilities
@@ -1191,7 +1191,7 @@ def check_offsets(name: str, offsets: IntArray, end: int) -> None:
 
 
 def _check_numbers(model: SSP, numbers: FloatArray, what: str, remedy: str = "") -> None:
-    """Raise :class:`ModelError` for a number of a model's outcome that is not finite and >= 0."""
+    """Raise :class:`ModelError` unless the numbers of a model's outcomes are finite and >= 0."""
     _refuse_outcomes(model, np.isnan(numbers), f"has a {what} that is NaN")
     _refuse_outcomes(model, numbers < 0, f"has a negative {what}{remedy}")
     _refuse_outcomes(model, np.isinf(numbers), f"has an infinite {what}")
@@ -1305,7 +1305,7 @@ def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) 
 
 
 def _dead_end_members(model: SSP, dead_ends: DeadEnds) -> IntArray:
-    """Return the indices of the states that ``dead_ends`` lists, by themselves or by labels.
+    """Return the indices of the states that ``dead_ends`` gives, as states or as labels of sets.
 
     Raises:
         ModelError: an entry is neither a state nor a label.

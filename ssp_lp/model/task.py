@@ -129,7 +129,7 @@ def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
 
 
 def _simplest(alternatives: Iterable[frozenset[Formula]]) -> Obligation:
-    """Remove alternatives that contain another one, so that equivalent obligations are equal."""
+    """Remove alternatives that contain another alternative; equivalent obligations become equal."""
     every = frozenset(alternatives)
     return frozenset(a for a in every if not any(b < a for b in every))
 

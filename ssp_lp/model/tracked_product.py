@@ -90,8 +90,8 @@ class TrackedSSP(ProductSSP):
         """Return the states after steps; the automaton reads the outcome of each step, [episodes].
 
         Raises:
-            ModelError: the model has no such step, or several outcomes have its successor and cost
-                but lead to different values.
+            ModelError: the model has no such step, or several outcomes have the step's successor
+                and cost but lead to different values.
         """
         model, automaton = self.original, self.automaton
         value, taken = self.labels.number[self.pair_state[pairs]], self.original_pair[pairs]

@@ -102,9 +102,10 @@ def plot_frontier(
         frontier: result of ``trace_frontier``.
         budget: a budget to mark, with the optimum and its tangent. The slope of the tangent is the
             derivative of the optimum by the budget (minus the failure price in case M). A turning
-            point has two tangents. Where the frontier is not settled, bounds replace the tangent.
+            point has two tangents. Where the optimum is known only up to bounds, the bounds are
+            drawn instead.
         ax: where to draw; None: a new figure.
-        label: label of the line; None: a label that states its gap.
+        label: label of the line; None: a label with the frontier's gap.
         look: style of the line, 0 .. 4, to distinguish several lines.
         whole: show the whole frontier; otherwise a new figure shows its bend and the budget.
 
@@ -215,7 +216,7 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
 
 @dataclass
 class BoundsRecord:
-    """Record of the progress of ``solve``, to which it is passed as ``progress``. Mutable."""
+    """Record of the progress reports of ``solve(..., progress=record)``. Mutable."""
 
     began: float = field(default_factory=time.perf_counter)
     seconds: list[float] = field(default_factory=list)  # [reports] since then
@@ -412,7 +413,7 @@ def plot_parameter(solutions: Iterable[object], name: str, *, ax: Axes | None = 
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
-        ModelError: fewer than two of the problems have an optimum and the parameter.
+        ModelError: fewer than two of the problems were solved and have the parameter.
     """
     solved = [one for one in solutions if isinstance(one, Solution)]
     solved = [one for one in solved if name in one.problem.model.parameters]

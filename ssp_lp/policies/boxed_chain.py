@@ -70,9 +70,9 @@ class BoxedChain:
         )
 
     def staying(self, inside: BoolArray) -> BoolArray:
-        """Return the greatest set of given nodes that nature can make a run never leave, [nodes].
+        """Return the greatest subset of nodes in which nature can keep a run for ever, [nodes].
 
-        ``inside`` is the mask of the given nodes. A node without moves is never left.
+        ``inside`` is the mask of the nodes to choose from. A node without moves is never left.
         """
         kept = inside
         while (fewer := kept & self._keeping(kept[self.chain.target])).sum() < kept.sum():

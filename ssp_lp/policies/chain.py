@@ -99,7 +99,7 @@ class Chain:
         ).astype(np.float64)
 
     def ahead(self, values: FloatArray) -> FloatArray:
-        """Return the mean of ``values`` at each node's next node, [nodes] or [nodes, values]."""
+        """Return for each node the mean of ``values`` at the next node, [nodes] or [nodes, ...]."""
         return np.asarray(self.matrix @ values)
 
     def reaching(self, ends: BoolArray) -> BoolArray:
@@ -226,7 +226,7 @@ def policy_chain(
 
     Args:
         model: the model.
-        policy: on the model.
+        policy: policy on the model.
         start: distribution over states, [states].
         most_nodes: greatest number of nodes.
 

@@ -296,7 +296,7 @@ def _evenly_spaced(levels: FloatArray, costs: FloatArray) -> bool:
 
 
 def _nearest_cost_level(levels: FloatArray, totals: FloatArray) -> IntArray:
-    """Return the index of the level nearest to each total, the lower one if two are as near."""
+    """Return the index of the level nearest to each total; of two equally near, the lower one."""
     above = np.clip(np.searchsorted(levels, totals), 1, len(levels) - 1)
     is_below = totals - levels[above - 1] <= levels[above] - totals
     return np.where(is_below, above - 1, above)

@@ -111,8 +111,8 @@ class Branches(NamedTuple):
 class CostLayers:
     """A decision for each (layer of accumulated cost, state), and tail policies beyond the layers.
 
-    A run that passes the last layer follows one of the tail policies, which are stationary, to its
-    end.
+    A run that passes the last layer follows one of the tail policies, which are stationary, from
+    then on.
     """
 
     decision: IntArray  # [layers, states] position in the state's pairs, or a code
@@ -841,7 +841,7 @@ class StochasticPolicy(Policy):
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class MixedPolicy(_Playable):
-    """A lottery at the start over a few policies (paper, section 2.2).
+    """A lottery over a few policies, drawn once at the start (paper, section 2.2).
 
     Raises:
         ModelError: no members, or weights that are negative or do not sum to one.

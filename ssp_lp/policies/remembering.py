@@ -126,7 +126,7 @@ class TimedPolicy(_Carried):
         return len(self.stages), *self.inner.meaning
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Return the initial memory, in the first stage, [episodes]."""
+        """Return the initial memory: the first stage, and its own initial memory, [episodes]."""
         return self.joined(self.inner.start_memory(states), 0)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
@@ -306,7 +306,7 @@ class RememberingPolicy(_Carried):
         return self.inner.reaches(self.product.at(states, number), inner)
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Return the initial memories of the product and of the inner policy, [episodes]."""
+        """Return the initial memory, the product's and the inner policy's as one, [episodes]."""
         begun = self.product.first_memory(states)
         here = self.product.at(states, begun)
         return self.joined(self.inner.start_memory(here), begun)

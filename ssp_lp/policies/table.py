@@ -52,7 +52,7 @@ class PolicyTable(Report, Sequence[PolicyRow]):
     memory of a row is
 
     - for cost-aware policies and policies on cost levels, the cost paid so far, or "tail k" once
-      the cost has reached the policy's cap: from then on it follows its stationary policy k;
+      the cost has reached the policy's cap: from then on the stationary policy k is followed;
     - for timed policies, the time step, or (time step, memory of the stage);
     - for policies on a product, the product's memory, or (product's memory, memory of the inner
       policy);

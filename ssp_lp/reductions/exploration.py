@@ -233,9 +233,10 @@ def _reached(part: ExploredSSP, pairs: IntArray, begin: IntArray) -> BoolArray:
 def _settled(part: ExploredSSP, *, charged: bool) -> tuple[BoolArray, BoolArray]:
     """Return pairs that may avoid the goal, and states that may surely give up.
 
-    A pair may avoid the goal if all its successors are attention states, with every fringe state
-    taken for one. A state may surely give up if it is an attention state even with no fringe state
-    taken for one, and if its charge for giving up is the same in both cases.
+    Two cases are compared: every fringe state is an attention state, as in the part, or none is. A
+    pair may avoid the goal if all its successors are attention states in the first case. A state
+    may surely give up if it is an attention state even in the second case, and if its charge for
+    giving up is the same in both.
 
     Args:
         part: the explored part.

@@ -125,7 +125,7 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
 
 
 def at_probabilities(problem: Any, probabilities: FloatArray) -> Any:
-    """Return the problem on its model with other probabilities, which are given, [outcomes]."""
+    """Return the problem on its model with other ``probabilities``, [outcomes]."""
     chosen = read_only(probabilities)
     model = replace(problem.model, probabilities=chosen, counts=None, parameters={})
     return problem.with_arguments(model=model)
@@ -237,7 +237,7 @@ def settled(
 def worst_loss(
     boxes: Boxes, decision: IntArray, acting: BoolArray, loss: FloatArray, ends: FloatArray | None
 ) -> FloatArray:
-    """Return a policy's worst loss over the boxes from each state, [states]; it must surely end.
+    """Return the worst loss over the boxes from each state, [states], of a policy that surely ends.
 
     Args:
         boxes: the boxes.
@@ -273,7 +273,12 @@ def worst_means(boxes: Boxes, worth: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def check_ends(model: SSP, kept: BoolArray) -> None:
-    """Raise :class:`ModelError` if ``kept`` has a state in which nature can keep a run for ever."""
+    """Raise :class:`ModelError` if ``kept`` is not empty.
+
+    Args:
+        model: the model.
+        kept: mask of the states in which nature can keep a run for ever, [states].
+    """
     if kept.any():
         raise ModelError(
             f"state {model.states[int(np.argmax(kept))]!r}: the boxes allow probabilities with "

@@ -197,7 +197,7 @@ class RawModel(NamedTuple):
 
 
 def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
-    """Return the raw model without states that only pay; their costs move to the outcomes before.
+    """Remove states that only pay, and add their costs to the outcomes that lead to them.
 
     :func:`exported` adds such states where the outcomes of an action differ in cost. A state only
     pays if it has the label "paying", one action, "pay", and one certain successor. Each outcome
