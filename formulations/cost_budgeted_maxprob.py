@@ -17,7 +17,7 @@ from ssp_lp.formulation import (
 )
 
 COST_BUDGET = "cost budget"
-"""Name of the row."""
+"""Name of the constraint on the expected cost."""
 
 
 @dataclass(frozen=True, eq=False)

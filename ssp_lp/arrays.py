@@ -27,9 +27,9 @@ SINGLE_PRECISION_SUM: Final = 1e-5
 """Largest deviation from 1 that ``normalise=True`` corrects: of float32, or of few digits."""
 
 MAXIMISER: Final = 1e-12
-"""Relative distance to the best goal probability within which an action still counts as maximising.
+"""Relative distance to the best goal probability within which an action counts as optimal.
 
-Linear solves leave errors of 1e-15 to 1e-14. On the paper's robot 1e-16 loses true maximisers, and
+Linear solves leave errors of 1e-15 to 1e-14. On the paper's robot 1e-16 loses optimal actions, and
 1e-8 changes the least cost of the safest policies by 4e-4.
 """
 
@@ -39,12 +39,12 @@ LEAST_RISE: Final = 1e-300
 FAILURE_FLOOR: Final = 1e-15
 """Difference of two failure probabilities that counts as 0, as a share of the goal probability.
 
-Far from any hazard least failures are 1e-100 or 1e-233: a search for gains relative to these would
-not end, and no episode would show the difference. As a share of the goal probability the tolerance
-keeps all digits of rare goals, and of probabilities in components that are solved without
-subtractions. A policy is improved if it gains at least a tenth of the tolerance. Where cost decides
-among policies of equal failure, a step may lose a hundred times the tolerance, so that rounding
-does not decide which pairs are equal.
+Far from any hazard the least failure probability may be 1e-100 or 1e-233. A search for gains
+relative to these numbers would not end, and no episode would show the difference. The tolerance is
+relative to the goal probability, so that the digits of a rare goal are kept. A policy is improved
+if it gains at least a tenth of the tolerance. Where cost decides among policies of equal failure,
+a step may lose a hundred times the tolerance, so that rounding does not decide which pairs are
+equal.
 """
 
 LEAST_BUDGET: Final = 1e-10
@@ -54,23 +54,24 @@ IMPROVEMENT: Final = 1e-13
 """Relative gain below which policy iteration keeps an action: the accuracy of a refined solve."""
 
 QUANTILE: Final = 1e-12
-"""Relative slack with which a mass reaches a quantile's level.
+"""Relative difference within which a probability counts as equal to a quantile's level.
 
 Sums of the masses of many total costs have errors of 1e-15 to 1e-13. A total at which the sum
 reaches the level exactly must be found, because the next total may be much larger.
 """
 
 SAME_TOTAL: Final = 5e-13
-"""Relative difference within which a total cost equals its bound, if both are sums of costs.
+"""Relative difference within which two sums of costs count as equal.
 
 Sums of some thousand costs have relative errors of 1e-16 to 1e-13; a lattice with so many layers
 does not fit into memory.
 """
 
 BELOW_RATIO: Final = 1.0 - 2.5e-10
-"""Share of the optimal ratio: a price at which it is proved again if the budget may be slack.
+"""Factor of the optimal cost given success that gives a second price for its proof.
 
-At this lower price failing is strictly best, so that rounding does not matter
+If the budget is not used up, the price is this ratio, at which failing is as good as the optimum
+and rounding decides between them. At the slightly lower price failing is strictly best
 (``FailureRow.lower_bound``).
 """
 
@@ -80,9 +81,9 @@ RELATIVE_GAP: Final = 1e-9
 RESIDUAL: Final = 1e-6
 """Largest relative residual with which an LP backend's answer is accepted.
 
-The answer is only used for a first price. Policies are computed at this price and measured exactly,
-and the program's optimum must agree with them. Interior points after crossover leave up to 2e-7
-here.
+Only a first price is taken from this answer. Policies are computed at this price and measured
+exactly, and the program's optimum must agree with them. Interior points after crossover leave up to
+2e-7 here.
 """
 
 

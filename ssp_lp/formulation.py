@@ -98,7 +98,7 @@ if TYPE_CHECKING:
 _COMPILING = logging.getLogger("ssp_lp.compiling")
 
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
-"""Default rule for giving up: the paper's section 2.4."""
+"""Default values of arguments that are None: the paper's rule for giving up (section 2.4)."""
 
 _NUMBER = ("float", float)
 _NUMBER_OR_NONE = ("float | None", float | None)

@@ -90,9 +90,9 @@ class Solution(Facts, ReadOnlyCopies):
     prices: Mapping[str, float] = field(default_factory=dict)  # multiplier of each row, by name
     least_failure_bound: float | None = None  # certified, of every policy; with least failure only
     granted: Mapping[str, float] = field(default_factory=dict)
-    """Bounds by name that only rounding makes infeasible; the least attainable value counts."""
+    """Bounds that only rounding makes infeasible: name -> least attainable value, used instead."""
     taken: Mapping[str, float] = field(default_factory=dict)
-    """Left side of each limited row as measured, by name, if the method measures rows."""
+    """Values of the limited quantities by name, if the method measures them."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "prices", ByName(self.prices))

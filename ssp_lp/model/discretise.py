@@ -218,7 +218,7 @@ TRIALS: Final = 1 << 19
 MIDPOINTS: Final = Quadrature()
 
 _SPREAD: Final = 4
-"""Greatest value of ``alike`` divided by the number of pairs, before values are renumbered."""
+"""Greatest group number of ``alike`` for each pair; above it the groups are renumbered."""
 
 _BUILDING = logging.getLogger("ssp_lp.building")
 

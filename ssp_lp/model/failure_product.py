@@ -49,7 +49,7 @@ class FailureSSP(ProductSSP):
     open_pairs: BoolArray = field(kw_only=True)  # [original pairs] that may be taken after failing
     stops: BoolArray = field(kw_only=True)  # [states] where giving up ends the run
     charged: BoolArray = field(kw_only=True)
-    """Mask of pairs; the cheapest one in a state sets its charge of failing, [original pairs]."""
+    """Mask of pairs; failing in a state costs as much as its cheapest one, [original pairs]."""
     free_pairs: BoolArray = field(kw_only=True)  # [2, original pairs] before and after failing
     charges: bool = field(kw_only=True, default=False)  # whether failing costs anything
     original_pair: IntArray = field(kw_only=True)  # [pairs]

@@ -34,7 +34,7 @@ BEYOND, LOST = "(a goal beyond)", "(lost beyond)"
 """Added states of the explored part, in which the actions of its fringe end."""
 
 ARRIVE, FAIL = "(arrive)", "(fail)"
-"""Added actions: both in states of the fringe, the second where a dead-end is possible."""
+"""Added actions: both in fringe states, "fail" also in states that may be dead-ends."""
 
 
 _NO_BOUNDS: Mapping[str, float] = {}

@@ -94,8 +94,10 @@ class SSP(Graph, ReadOnlyCopies):
     state_labels: Mapping[str, IntArray]  # label -> state indices; for reports only
     exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
     named_costs: Mapping[str, FloatArray] = field(kw_only=True, default_factory=dict)
-    """Costs by name, [outcomes] each, for ``secondary_cost("fuel")``; with ``costs``, if that has a
-    name."""
+    """Costs by name, [outcomes] each, for ``secondary_cost("fuel")``.
+
+    If ``costs`` has a name, it is one of them.
+    """
     counts: FloatArray | None = field(kw_only=True, default=None)
     """Count of each outcome, [outcomes]; None: the model was not made of counts."""
     parameters: Mapping[str, PlacedParameter] = field(kw_only=True, default_factory=dict)
@@ -854,7 +856,7 @@ class SSP(Graph, ReadOnlyCopies):
 
 
 UNEXPLORED = "unexplored"
-"""Label of an implicit model's states that were found, but not expanded, and of their ends."""
+"""Label of an implicit model's fringe (found, not expanded), and of the state where it fails."""
 
 
 class _NotExploredError(ModelError, AttributeError):

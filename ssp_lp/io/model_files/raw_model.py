@@ -498,7 +498,7 @@ def _exported_labels(
 
 
 _MOST_DISTINCT = 100_000
-"""Greatest number of distinct pairs of summands that are added exactly, not as floats."""
+"""Greatest number of distinct pairs of summands that are added exactly; more: as floats."""
 
 
 def decimal_sum(
