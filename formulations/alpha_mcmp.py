@@ -13,7 +13,7 @@ class AlphaMCMP(Formulation):
 
     Problem:
         MCMP with a failure budget relative to the least attainable failure, so that every share up
-        to 1 is feasible.
+        to 1 is feasible. r_tau is the cost paid until the goal has become unreachable.
 
     Program:
         that of ``MCMP`` with ``failure_budget = 1 - reach_fraction * max Pr(goal)``.

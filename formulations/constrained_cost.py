@@ -21,10 +21,10 @@ class ConstrainedCost(Formulation):
     """Minimise ``E[r_tau]`` subject to ``E[secondary cost k] <= bound k`` and a failure budget.
 
     Problem:
-        minimise the cost as in MCMP, within a failure budget or with least failure. There may be
-        any number of secondary costs, such as fuel, time or exposure, each with an upper bound on
-        its expected total. If the goal can be reached surely, ``failure_budget=None`` is the C-SSP
-        of Trevizan et al.
+        minimise r_tau, the cost paid until the goal has become unreachable, within a failure budget
+        or with least failure, as in MCMP. There may be any number of secondary costs, such as fuel,
+        time or exposure, each with an upper bound on its expected total. If the goal can be reached
+        surely, ``failure_budget=None`` is the C-SSP of Trevizan et al.
 
     Program:
         minimise <cost, x> subject to flow balance, <row_k, x> <= bound_k, <failure, x> <=

@@ -32,11 +32,11 @@ class CostBudgetedMaxProb(Formulation):
 
     Program:
         minimise <failure, x> subject to flow balance, <cost, x> <= cost_budget, x >= 0, where x
-        counts the expected visits of each (state, action); the optimum is 1 - ``objective``.
+        counts the expected visits of each (state, action). This least failure is 1 - ``objective``.
 
     Guarantee:
         the optimum is attained by a lottery over at most (active rows + 1) deterministic stationary
-        policies. It is concave in the budget, and ``prices["cost budget"]`` is its slope.
+        policies. The optimum is concave in the budget, and ``prices["cost budget"]`` is its slope.
         ``upper_bound`` is certified. If every policy costs more, ``solve`` raises
         ``InfeasibleError``.
 

@@ -37,7 +37,8 @@ class CostQuantile(Formulation):
     Semantics:
         exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. Without a
         budget (1.0) the optimum is the least cost with which the goal can be reached at all, since
-        all other runs may fail. The comparison has a relative slack of 1e-12.
+        all other runs may fail. The probability is compared with ``level`` at a relative tolerance
+        of 1e-12.
 
     Reference:
         quantiles: Baier, Daum, Dubslaff, Klein and Klueppelholz, NFM 2014; Randour, Raskin and
@@ -55,7 +56,7 @@ class CostQuantile(Formulation):
     Returns:
         the problem; its solution has the least quantile as ``objective``, a certified
         ``lower_bound``, and a lottery over at most two policies. Among the lotteries with this
-        quantile it is one whose cost is most often within the quantile.
+        quantile, its cost is most often within the quantile.
 
     Raises:
         ModelError: a level or a budget that is not a number or out of range, or an unknown start.

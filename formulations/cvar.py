@@ -19,8 +19,9 @@ class CVaR(Formulation):
     Program:
         for a threshold z, minimise <integrand, x> / <goal, x> subject to flow balance, <failure, x>
         <= failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1): the program
-        of ``S3P`` with a kink in the charge of an arrival. For every policy the minimum over z is
-        attained at the policy's quantile, which is a total that can occur.
+        of ``S3P``, where an arrival at total cost c is charged the integrand, z + (c - z)^+ / (1 -
+        level). For every policy the minimum over z is attained at the policy's quantile, which is a
+        total that can occur.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the

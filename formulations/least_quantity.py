@@ -13,7 +13,7 @@ class LeastQuantity(Formulation):
 
     Problem:
         min over policies of ``quantity``: a sum of multiples of secondary costs, visits of states
-        and probabilities of ends. A negative weight makes an end likely.
+        and probabilities of ends. An end with a negative weight is made likely.
 
     Program:
         minimise <quantity, x> subject to flow balance, <failure, x> <= failure_budget, <row_k, x>

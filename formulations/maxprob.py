@@ -17,7 +17,7 @@ class MaxProb(Formulation):
 
     Program:
         minimise <failure, x> subject to flow balance, x >= 0, on the process in which every closed
-        end component is collapsed into one place; the optimum is 1 - ``objective``.
+        end component is collapsed into one state. This least failure is 1 - ``objective``.
 
     Guarantee:
         one deterministic stationary policy attains the greatest probability from every state.

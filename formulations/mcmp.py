@@ -44,8 +44,8 @@ class MCMP(Formulation):
             None: the default under Semantics.
         charge_failing_step: whether the step at which failure is declared is charged (the paper's
             section 3.1.2); None: the default under Semantics.
-        reach_fraction: instead of a budget, the least share of the greatest goal probability (of
-            the undiscounted one, also under a discount).
+        reach_fraction: instead of a budget, the least share of the greatest goal probability
+            (undiscounted even if there is a ``discount``).
         constraints: name -> constraint on a quantity; see ``Formulation``.
         horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
@@ -54,7 +54,7 @@ class MCMP(Formulation):
         the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
-        ModelError: a budget, a share or a discount out of range, both a budget and a share, an
+        ModelError: a budget, a share or a discount out of range, a budget and a share at once, an
             unknown start or ``give_up``.
 
     Example:
