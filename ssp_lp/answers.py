@@ -121,11 +121,9 @@ class Answers(Report):
     seconds: float  # wall clock, in total
 
     def __len__(self) -> int:
-        """Return the number of problems."""
         return len(self.problems)
 
     def __iter__(self) -> Iterator[Answer]:
-        """Yield the answers in the order of the problems."""
         return iter(self.answers)
 
     def __getitem__(self, place: int) -> Answer:
@@ -381,7 +379,6 @@ class _Crew:
         self._finished: SimpleQueue[Future[bytes | None]] = SimpleQueue()
 
     def __enter__(self) -> _Crew:
-        """Return the crew itself."""
         return self
 
     def __exit__(self, *raised: object) -> None:

@@ -300,7 +300,6 @@ class _ProgressLines(logging.Handler):
     """
 
     def __init__(self, stream: TextIO, lasting: bool) -> None:
-        """Start the clock."""
         super().__init__()
         self._stream, self._began, self._lasting = stream, time.perf_counter(), lasting
         self._overwrites = stream.isatty() or "ipykernel" in sys.modules

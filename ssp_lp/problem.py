@@ -584,7 +584,6 @@ class _UntilFailing(Policy):
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """Model that the policy acts on."""
         return self.carrier.model
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:

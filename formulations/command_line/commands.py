@@ -369,7 +369,6 @@ _WRITERS: dict[str, Callable[[Any, str], object]] = {
 
 
 def _solve_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``solve`` and return its lines."""
     out = asked["policy_out"]
     write = None if out is None else _WRITERS.get(Path(out).suffix)
     if out is not None and write is None:  # before the solve
@@ -480,13 +479,11 @@ def _decisions(policy: Policy) -> dict[str, Any]:
 
 
 def _traced_frontier(of: _CommandModel) -> ssp_lp.Frontier:
-    """Return the frontier that a command traces."""
     limits = {name: of.asked[name] for name in ("over", "gap", "point_limit", "time_limit")}
     return ssp_lp.trace_frontier(problem_of(of), **limits)
 
 
 def _explore_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``explore`` and return its lines."""
     of, out = command_model(asked), asked["out"]
     traced = _traced_frontier(of)
     world = of.environment and of.environment.unwrapped
@@ -498,7 +495,6 @@ def _explore_command(asked: Asked) -> Iterable[str]:
 
 
 def _frontier_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``frontier`` and return its lines."""
     with picture(asked["plot"]) as ax:
         traced = _traced_frontier(command_model(asked))
         if ax is not None:
@@ -512,7 +508,6 @@ def _frontier_command(asked: Asked) -> Iterable[str]:
 
 
 def _info_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``info`` and return its lines."""
     model, start = command_model(asked).written_out
     names = list(map(str, model.action_names))
     facts: dict[str, Any] = {
@@ -534,7 +529,6 @@ def _info_command(asked: Asked) -> Iterable[str]:
 
 
 def _simulate_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``simulate`` and return its lines."""
     check_whole("seed", asked["seed"], 0)
     of = command_model(asked)
     problem = MCMP(of.model, of.start, failure_budget=1.0, horizon=of.horizon)
@@ -553,7 +547,6 @@ def _simulate_command(asked: Asked) -> Iterable[str]:
 
 
 def _convert_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``convert`` and return its lines."""
     model, start = command_model(asked).written_out
     if asked["target"] == "-":
         return ["".join(model_in_json(model, start)).rstrip()]
@@ -562,7 +555,6 @@ def _convert_command(asked: Asked) -> Iterable[str]:
 
 
 def _program_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``program`` and return its lines."""
     program = program_of(problem_of(command_model(asked)))
     if asked["out"] is not None:
         program.write(asked["out"])
@@ -570,7 +562,6 @@ def _program_command(asked: Asked) -> Iterable[str]:
 
 
 def _what_if_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``what-if`` and return its lines."""
     with picture(asked["plot"]) as ax:
         solution = ssp_lp.solve(problem_of(command_model(asked)))
         effects = solution.what_if(time_limit=asked["time_limit"])

@@ -82,7 +82,6 @@ class _Arrays(dict[str, Array]):
     """Arrays of an archive by name, each unpacked on first use."""
 
     def __init__(self, archive: Any) -> None:
-        """Wrap an archive that numpy has opened."""
         self._archive = archive
 
     def __missing__(self, name: str) -> Array:
@@ -446,7 +445,6 @@ class _PolicyRecords:
     """Records of a policy and of the policies that it contains; the contained ones come first."""
 
     def __init__(self) -> None:
-        """Begin an archive without records."""
         self.arrays: dict[str, Array] = {}
         self._records: list[dict[str, Any]] = []
         self._models: dict[int, SSP] = {}  # id -> model of a part

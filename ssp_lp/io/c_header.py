@@ -155,7 +155,6 @@ _A_LINE = 24  # numbers
 
 
 def _c_table(name: str, kind: str, values: IntArray | FloatArray) -> str:
-    """Return a table as C code."""
     words = [repr(value) for value in values.ravel().tolist()]
     lines = (words[k : k + _A_LINE] for k in range(0, len(words), _A_LINE))
     body = ",\n    ".join(", ".join(line) for line in lines)

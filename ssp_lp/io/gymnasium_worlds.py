@@ -268,7 +268,6 @@ def _is_in_cells(grid: Grid, cells: Container[Hashable], point: tuple[float, ...
 
 
 def _is_in_box(grid: Grid, point: tuple[float, ...]) -> bool:
-    """Return whether a point lies in the box of a grid."""
     return not grid.misses(grid.heights(tuple(map(np.asarray, point)))).any()
 
 

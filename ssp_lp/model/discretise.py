@@ -340,7 +340,6 @@ def _rows_of_pairs(
 
 
 def _discretised_rows(world: ContinuousModel, trials: _Trials, pairs: IntArray) -> Outcomes:
-    """Return the outcomes of some pairs."""
     cells, action = np.divmod(pairs, len(world.actions))
     rows = [np.flatnonzero(action == number) for number in np.unique(action)]
     made = [_rows_of_action(world, trials, cells[some], int(action[some[0]])) for some in rows]

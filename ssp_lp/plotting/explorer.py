@@ -359,7 +359,6 @@ def _ground(
 
 
 def _page(frontier: Frontier, data: dict[str, Any]) -> str:
-    """Return the page as HTML."""
     problem = frontier.problem
     title = f"{type(problem).__name__}: {'objective' if frontier.maximises else 'least cost'}"
     title = f"{title} against {frontier.axis}"

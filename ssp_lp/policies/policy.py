@@ -56,7 +56,6 @@ class Decision(enum.StrEnum):
     GIVE_UP = "give up"
 
     def __repr__(self) -> str:
-        """Return the name of the constant."""
         return self.name
 
 

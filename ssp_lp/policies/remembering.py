@@ -54,12 +54,10 @@ class _Carried(Policy):
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """Model of the inner policy."""
         return self.inner.model
 
     @property
     def step_limit(self) -> int | None:  # type: ignore[override]
-        """Step limit of the inner policy."""
         return self.inner.step_limit
 
     @property

@@ -80,7 +80,6 @@ class PolicyTable(Report, Sequence[PolicyRow]):
 
     @cached_property
     def _rows(self) -> list[PolicyRow]:
-        """All rows of the policy's table."""
         return [row for k in range(len(self.members)) for row in self._member_rows(k)]
 
     def _member_rows(self, member: int) -> Iterator[PolicyRow]:
@@ -92,7 +91,6 @@ class PolicyTable(Report, Sequence[PolicyRow]):
                 yield PolicyRow(model.states[state], part.words.get(code), action, share, member)
 
     def __len__(self) -> int:
-        """Return the number of decisions."""
         return len(self._rows)
 
     @overload

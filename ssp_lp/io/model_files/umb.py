@@ -300,7 +300,6 @@ class UmbArchive:
         return np.frombuffer(data, dtype=kind)
 
     def _fault(self, complaint: str) -> ModelError:
-        """Return an error that names the archive."""
         return ModelError(f"{self.path}: {complaint}")
 
 
