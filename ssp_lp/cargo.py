@@ -29,7 +29,7 @@ _ALIGNED = 64  # bytes: arrays in a file begin at multiples, for the compiled lo
 
 
 def models_of(problems: Iterable[Problem]) -> list[SSP]:
-    """Return the distinct models of the problems; for a product first its original model."""
+    """Return the distinct models of the problems; a product comes after its original model."""
     models: dict[int, SSP] = {}
     for problem in problems:
         chain: list[SSP] = []

@@ -249,10 +249,10 @@ class Formulation(Problem):
 
     @cached_property
     def tracked(self) -> Self:
-        """The formulation restated on a product with automata for its promises and tasks.
+        """The formulation restated on a product with automata for limits on whole runs and tasks.
 
         The product's states are (state, value of an automaton). The horizon is unchanged. Without
-        promises and tasks this is the formulation itself.
+        such limits and tasks this is the formulation itself.
         """
         if not self.all_constraints and self.quantity is None:
             return self

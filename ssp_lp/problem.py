@@ -136,7 +136,10 @@ class Problem(ReadOnlyCopies):
 
     @property
     def tracked(self) -> Problem:
-        """The problem restated on a product with automata for its promises and tasks, if any."""
+        """The problem restated on a product with automata for limits on whole runs and tasks.
+
+        If there are no such limits and tasks, this is the problem itself.
+        """
         return self
 
     @property

@@ -481,7 +481,7 @@ def take_step_in_world(
         model: the world.
         point: an array for each axis, with as many dimensions as ``shape``, broadcasting to it.
         action: position of the action among the model's actions.
-        noise: an array for each random number, shaped like those of ``point``.
+        noise: an array for each random number, also with as many dimensions as ``shape``.
         shape: common shape of the points.
 
     Raises:

@@ -173,7 +173,7 @@ class BoxedChain:
         """Return the greatest probability of never reaching the goal from each node, [nodes].
 
         It is 1 at nodes where nature can surely avoid the goal. From all other nodes the run ends
-        with probability 1, whatever nature chooses, so the probability is a total reward.
+        with probability 1, whatever nature chooses.
         """
         missed = self.chain.goal == 0.0
         lost = self.staying(missed)

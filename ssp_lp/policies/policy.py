@@ -576,8 +576,7 @@ class EpisodeBatch:
     def remember(self, episodes: IntArray, *step: *Step) -> None:
         """Update the policies' memories in the given episodes after a step.
 
-        ``step`` has the pairs, the successors and the costs, an entry of each for each given
-        episode.
+        ``step`` has the pairs, the successors and the costs of these steps, [given episodes] each.
         """
         pairs, successors, costs = step
         for member, mine in self.shares(episodes):

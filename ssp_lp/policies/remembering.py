@@ -426,7 +426,7 @@ class LabelledPolicy(_Carried):
         return Branches(situation, acting, chance / total[situation], kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Return the memory after steps: the failure label and the inner policy's, [episodes].
+        """Return the memory after steps: the failure label and the inner memory, [episodes].
 
         The inner policy observes the charge as the cost of the step that fails, and 0 for later
         steps.

@@ -1,9 +1,10 @@
 """Exploration: a problem on an implicit model is solved on a sequence of growing explored parts.
 
 Each part is an ordinary model whose optimum is a bound of the whole model's optimum
-(:mod:`ssp_lp.model.implicit`). Its fringe are the states that were found but not expanded. A round
-solves the part and expands the fringe states in doubt: those that the lottery may reach, and those
-that decide whether the lottery may fail where it does. The rounds end when no state is in doubt.
+(:mod:`ssp_lp.model.implicit`). Its fringe is the set of states that were found but not expanded. A
+round solves the part and expands the fringe states in doubt: those that the lottery may reach, and
+those that decide whether the lottery may fail where it does. The rounds end when no state is in
+doubt.
 """
 
 from __future__ import annotations

@@ -302,7 +302,7 @@ def ending(
         state, [pairs].
 
     Raises:
-        ModelError: nature can prevent every policy from ending, but at a cost of 0.
+        ModelError: some outcome in a lost state costs 0, so that not ending might cost nothing.
     """
     model = boxes.support
     acting = ~(model.goal_mask | dead_ends(model))
