@@ -102,7 +102,7 @@ def solve(
 
 
 def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) -> Solution:
-    """Solve a problem that is already unrolled, and check the answer."""
+    """Solve a problem, and check the answer."""
     solution: Solution | None = None
     too_large: ModelError | None = None
     incumbent, inner = Incumbent(problem, options.deterministic), problem
@@ -156,7 +156,7 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
 
 
 def _redundant_budget(budget: float | None, limit: Condition) -> str:
-    """Return a note on a failure budget that no policy within a limit uses up; else empty."""
+    """Return a note on a failure budget that a limit makes redundant, else an empty text."""
     least = limit.least_goal
     if budget is None or budget >= 1.0 or least <= 1.0 - budget + LEAST_BUDGET:
         return ""
@@ -184,7 +184,7 @@ def _check_solution(solution: Solution, deadline: float | None) -> None:
 
     Args:
         solution: the answer.
-        deadline: end of the time for evaluating its policy for its limits; None: no time is left.
+        deadline: time at which evaluating the policy's limits must end; None: it is not evaluated.
 
     Raises:
         SolverError: a probability outside [0, 1], a violated budget or limit, weights that are no

@@ -69,6 +69,6 @@ def _warn_on_command_line(message: Warning | str, *_: object, **__: object) -> N
 
 
 def _tell(words: str, code: int = 0) -> int:
-    """Print a message to standard error and return the exit code."""
+    """Print a message to standard error, and return ``code``, the exit code."""
     print(f"ssp-lp: {words}", file=sys.stderr)
     return code

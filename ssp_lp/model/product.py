@@ -86,7 +86,7 @@ class Memory:
     fails: Callable[[Any], bool] = _never_in_product
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` unless the attributes are functions of these arguments."""
+        """Raise :class:`ModelError` if a function of the memory does not accept its arguments."""
         check_fields(self)
 
 
@@ -116,9 +116,8 @@ class ProductStates(Sequence[Label]):
 class ProductSSP(SSP):
     """A model whose states are (state, memory); see :func:`product`.
 
-    A state has the actions of its original state, in their order, or no actions if the episode is
-    over: at a goal, at a goal of the original that the memory does not accept, or where the memory
-    fails.
+    A product state has the same actions as its original state, in their order. It has no actions if
+    the episode is over: at a goal (accepted by the memory or not), or where the memory fails.
     """
 
     original: SSP = field(kw_only=True)
@@ -179,17 +178,20 @@ class ProductSSP(SSP):
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Original outcome of each of the product's outcomes, all of them possible, [outcomes]."""
+        """Original outcome of each outcome of the product, [outcomes].
+
+        The product has no outcomes of probability 0.
+        """
         possible = np.flatnonzero(self.original.probabilities > 0.0)
         offsets = np.searchsorted(possible, self.original.outcome_offsets)
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the pairs of the product in given states for original pairs, [entries].
+        """Return the product's pair by which each given state takes an original pair, [entries].
 
         Args:
             states: states of the product, [entries].
-            pairs: original pairs, each belonging to the original of its state, [entries].
+            pairs: original pair to take in each of these states, [entries].
         """
         shift = self.pair_offsets[states] - self.original.pair_offsets[self.original_state[states]]
         return np.asarray(pairs + shift)
@@ -241,11 +243,11 @@ class ProductSSP(SSP):
         return self.at(successors, np.array(list(map(updated, *steps)), dtype=np.int64))
 
     def moved_by(self, pairs: IntArray, outcomes: IntArray) -> tuple[IntArray, IntArray]:
-        """Return the product's successor and outcome for each original outcome, [entries] each.
+        """Return the product's successor and the product's outcome of each step, [entries] each.
 
         Args:
-            pairs: pairs of the product, [entries].
-            outcomes: outcome of the original of each pair, [entries].
+            pairs: pair of the product that is taken, [entries].
+            outcomes: original outcome that occurs, [entries].
         """
         possible = np.cumsum(self.original.probabilities > 0.0)
         first = self.original.outcome_offsets[self.original_pair[pairs]]
@@ -254,7 +256,10 @@ class ProductSSP(SSP):
         return self.successors[place].astype(np.int64), place
 
     def places_of(self, state: Hashable) -> IntArray:
-        """Return the product's state with a label; for an original state, all its product states.
+        """Return the indices of the product's states with a label.
+
+        For a label (state, memory) this is one index; for a label of the original, all its product
+        states.
 
         Raises:
             ModelError: neither the product nor the original has a state with the label.
@@ -278,7 +283,7 @@ class ProductSSP(SSP):
 
     @cached_property
     def table(self) -> IntArray:
-        """State of the product for each state and memory, -1: none, [states, memories]."""
+        """Index of the product's state (state, memory); -1: none, [states, memories]."""
         table = np.full((self.original.n_states, len(self.memories)), -1, dtype=np.int64)
         table[self.original_state, self.labels.number] = np.arange(self.n_states)
         return read_only(table)
@@ -358,7 +363,7 @@ def product(
         return numbers[kept]
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the numbers of the memories after outcomes, [entries]."""
+        """Return the number of the memory after each outcome, given that before it, [entries]."""
         memories, moved = [*numbers], list[int]()
         for number, k in zip(before.tolist(), outcomes.tolist(), strict=True):
             state, action = names[int(model.pair_state[pair_of[k]])], model.action_of(pair_of[k])
@@ -367,7 +372,7 @@ def product(
         return np.array(moved, dtype=np.int64)
 
     def fails(states: IntArray, numbers: IntArray) -> BoolArray:
-        """Return whether an episode with a memory has failed, [entries]."""
+        """Return a mask of the memories with which an episode has failed, [entries]."""
         return np.array(failing, dtype=np.bool_)[numbers]
 
     begin = model.states if start is None else no_lone_string(start, "start")
@@ -405,10 +410,10 @@ def unfold(
     Args:
         model: the model.
         begin: states in which episodes may begin, and the numbers of their memories.
-        after: function of the numbers of memories and of outcomes that returns the numbers of the
-            memories after these outcomes, [entries] each.
-        is_over: function of states and numbers of memories that says where an episode ends, even
-            though the model has actions there, [entries] each.
+        after: function (numbers of memories, outcomes) -> numbers of the memories after the
+            outcomes, [entries] each.
+        is_over: function (states, numbers of memories) -> mask of the entries at which an episode
+            ends even if the model has actions there, [entries] each.
         state_limit: greatest number of states of the product.
 
     Returns:
@@ -499,7 +504,9 @@ class HorizonSSP(ProductSSP):
     survive: tuple[str, ...] | None = field(kw_only=True, default=None)  # :func:`within_steps`
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """Return the states after one more step, "out of time" after the last one, [episodes].
+        """Return the states of the product after steps, [episodes].
+
+        After the last step the memory is "out of time", unless the reached state has no actions.
 
         Raises:
             ModelError: a step leads to a state that does not occur after so many steps.
@@ -517,19 +524,20 @@ def within_steps(
     start: Iterable[Hashable] | None = None,
     survive: bool | Iterable[str] = False,
 ) -> HorizonSSP:
-    """Return the model in which an episode fails unless it reaches the goal within some steps.
+    """Return the product in which an episode fails unless it reaches the goal within some steps.
 
-    It is the product with a memory that counts steps, built from arrays. A policy on it knows the
-    number of steps left; ``on_original`` lets it act on the model's states. With ``survive``, an
-    episode that takes all steps succeeds ("do not fall within 500 steps"). It fails if it reaches a
-    state without actions earlier, or a state with a label in ``survive``.
+    Its memory counts steps. A policy on the product knows the number of steps left; ``on_original``
+    lets it act on the model's states. With ``survive``, an episode that takes all steps succeeds
+    ("do not fall within 500 steps"). It fails if it reaches a state without actions earlier, or a
+    state with a label in ``survive``.
 
     Args:
         model: the model. If only surviving counts, its goal is a state that no action leads to.
         steps: number of steps; a goal reached with the last one counts.
         start: states in which episodes may begin; None: every state of the model.
-        survive: True: an episode that takes all steps has reached the goal. Or labels of states
-            that end an episode as a failure although they have actions.
+        survive: True: an episode that takes all steps succeeds. Labels of states: the same, and an
+            episode fails in a state with one of these labels although it has actions. False: only
+            reaching the goal is success.
 
     Returns:
         The product, with states (state, steps taken), and (state, "out of time") after the last
@@ -596,7 +604,10 @@ def unroll_steps(
         )
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the numbers of steps after outcomes, [entries]; steps + 1: late, out of time."""
+        """Return the number of steps after each outcome, [entries].
+
+        After the last step it is steps + 1, which means out of time, if the successor has actions.
+        """
         if not (before == steps - 1).any():
             return before + 1
         return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round
