@@ -435,7 +435,7 @@ class Arrivals:
         return self.settled + layers
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Return Pr(goal) and E[C - r; goal] of arrivals from a layer of total cost r on.
+        """Return Pr(goal, C >= r) and E[C - r; goal, C >= r], where r is the total cost of a layer.
 
         Args:
             layer: the layer; None: the first one that is not settled. For a later one :attr:`leaps`
@@ -669,7 +669,7 @@ class FollowedSums(Arrivals):
         return self._followed <= self._end and self._arrived >= _SOME * self._goal
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Return Pr(goal) and E[C - r; goal] of the unsettled sums; r: total cost of a layer."""
+        """Return Pr(goal, C >= r) and E[C - r; goal, C >= r]; r is the total cost of a layer."""
         goal, cost, frontier = 0.0, 0.0, self.settled if layer is None else layer
         for begun, parts in self._pending.items():
             delay = float((begun - frontier) * self.unit)

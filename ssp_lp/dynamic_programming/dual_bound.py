@@ -306,16 +306,16 @@ def raised(
     asked: IntArray,
     enough: float,
 ) -> tuple[FloatArray, float]:
-    """Raise a sub-solution by backups rounded down; it remains a sub-solution.
+    """Raise a sub-solution, made by lowering values, by backups that are rounded down.
 
-    The loss is the distance from the values before they were lowered. Sweeps end if the loss at all
-    states ``asked`` is small enough, or if it falls too slowly.
+    The result is a sub-solution, too. The loss of a state is its original value minus its raised
+    value. Sweeps end if the loss at all states ``asked`` is small enough, or falls too slowly.
 
     Args:
         dynamics: the process.
         pair_cost: [pairs].
         lowered: a checked sub-solution, [states].
-        values: the values before lowering, [states].
+        values: the original values, before they were lowered, [states].
         asked: states at which the loss must be small.
         enough: loss that is small enough.
 

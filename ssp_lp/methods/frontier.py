@@ -119,12 +119,12 @@ def trace_frontier(
 ) -> Frontier:
     """Trace the least objective as a function of a budget, from the least feasible budget on.
 
-    The frontier ends where a larger budget no longer lowers the objective. In case M the price of
-    failure is 0 there, in case S it equals the ratio. Over the failure budget alone, the pricing
-    problem is solved at the slope of each segment. If no policy lies below the segment, the segment
-    is part of the frontier; otherwise the policy found splits the segment. Over another limit, or
-    with other limits fixed, the problem is solved at one bound after another, each time where the
-    gap between the upper and the lower bound of the frontier is largest.
+    The frontier ends where a larger budget no longer lowers the objective. There the price of
+    failure is 0 in case M, and equals the objective in case S. Over the failure budget alone, the
+    pricing problem is solved at the slope of each segment. If no policy lies below the segment, the
+    segment is part of the frontier; otherwise the policy found splits the segment. Over another
+    limit, or with other limits fixed, the problem is solved at one bound after another, each time
+    where the gap between the upper and the lower bound of the frontier is largest.
 
     Args:
         problem: its bound on the traced quantity is ignored; all other limits hold.

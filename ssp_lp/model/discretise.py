@@ -390,7 +390,7 @@ def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, 
     index = tuple(places[:, None] for places in world.grid.index_of(cells))
     alike = np.asarray(world.alike(index, np.arange(n_actions)[None, :]))
     if alike.ndim > 2 or alike.dtype.kind not in "iu" or alike.min() < 0:
-        raise ModelError("alike must return whole numbers >= 0")
+        raise ModelError("alike() must return whole numbers >= 0")
     kinds = np.broadcast_to(alike, (len(cells), n_actions)).ravel()
     kinds = kinds if len(pairs) == len(kinds) else kinds[pairs - begin * n_actions]
     kinds = kinds - kinds.min()

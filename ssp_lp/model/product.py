@@ -49,12 +49,12 @@ Label = tuple[Hashable, Hashable]
 
 
 def _always_in_product(memory: Any) -> bool:
-    """Return True: by default reaching a goal is a success with every memory."""
+    """Return True: by default, reaching a goal is a success whatever the memory is."""
     return True
 
 
 def _never_in_product(memory: Any) -> bool:
-    """Return False: by default an episode fails with no memory."""
+    """Return False: by default, no value of the memory means that an episode has failed."""
     return False
 
 

@@ -97,7 +97,7 @@ class CostAwarePolicy(Policy):
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """Key of the memory's meaning: the layers, and how a tail is chosen."""
+        """Key of the memory's meaning: its layers, and the rule for choosing a tail policy."""
         levels = b"" if self.levels is None else self.levels.tobytes()
         kept = self.cap, self.unit, self.rounds_up, len(self.tails)
         return *kept, self.tail_threshold.tobytes(), levels

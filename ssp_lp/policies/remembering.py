@@ -158,9 +158,11 @@ def asked(policy: Policy, some: IntArray, states: IntArray, memory: IntArray) ->
 
 
 def merged(memory: IntArray, *parts: Branches) -> Branches:
-    """Merge the decisions in different situations into one ``Branches``, sorted by situation.
+    """Merge decisions in different situations (state, memory) into one ``Branches``, in order.
 
-    ``memory`` has the memory in each situation, [situations].
+    Args:
+        memory: the memory in each situation, [situations].
+        parts: decisions, each part in other situations.
     """
     situation, pair, probability, kept = (
         np.concatenate(part)

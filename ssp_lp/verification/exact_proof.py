@@ -237,7 +237,7 @@ def _closure(begin: Iterable[int], after: Callable[[int], Iterable[int]]) -> set
 def _ways_of(
     columns: Sequence[Column], costs: Iterable[Fraction], known: Mapping[int, int]
 ) -> list[_Way]:
-    """Return the columns of a block of nodes as ways between its nodes, numbered from 0.
+    """Return a block's columns, restricted to the block, whose nodes are numbered from 0.
 
     Args:
         columns: columns of the block, node by node.
