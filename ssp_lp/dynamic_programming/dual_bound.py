@@ -55,7 +55,7 @@ _ONE = np.ones(1)
 
 @dataclass(frozen=True, eq=False)
 class DualBound:
-    """Values that bound the optimum from below, as sums ``values + low``."""
+    """Lower bounds of the optimal values, each the sum of two floats, ``values + low``."""
 
     values: FloatArray  # [states]
     low: FloatArray  # [states] to be added to the values

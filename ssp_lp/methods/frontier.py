@@ -867,7 +867,7 @@ class _Optima:
 
     @property
     def points(self) -> list[_Optimum]:
-        """The optima that no other optimum dominates, by increasing ``spent``."""
+        """The optima that no other optimum dominates, by increasing traced quantity (``spent``)."""
         points: list[_Optimum] = []
         for one in sorted(self.optima, key=lambda o: (o.spent, o.value)):
             if not points or one.value < points[-1].value - _STRAIGHT * abs(points[-1].value):
@@ -913,7 +913,7 @@ class _Optima:
         return max(abs(worth(p.value)), abs(worth(q.value)), _LEAST)
 
     def _mixed(self, p: _Optimum, q: _Optimum, bound: float) -> float:
-        """Return the value of the lottery over p and q that spends exactly a bound between them."""
+        """Return the value of the lottery over p and q whose traced quantity is ``bound``."""
         w = (bound - p.spent) / (q.spent - p.spent)
         goals = ((1.0 - w) * p.goal, w * q.goal) if self.stated.ratio else (1.0 - w, w)
         return (goals[0] * p.value + goals[1] * q.value) / sum(goals)

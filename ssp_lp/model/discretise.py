@@ -359,7 +359,7 @@ def _rows_of_action(
         reached = [np.where(taken.end == 0, cell, ends) for cell in reached]
 
     def by_cell(numbers: Any) -> Any:
-        """Return numbers of each trial as an array with a row for each cell, [cells, trials]."""
+        """Return values, one for each trial, as an array with a row for each cell."""
         return np.broadcast_to(numbers, shape).reshape(-1, len(cells)).T
 
     states = np.empty((len(cells), len(reached), math.prod(trials.shape)), dtype=np.int32)

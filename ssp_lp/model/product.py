@@ -363,7 +363,7 @@ def product(
         return numbers[kept]
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the number of the memory after each outcome, given that before it, [entries]."""
+        """Return the number of the memory after each outcome, given the one before, [entries]."""
         memories, moved = [*numbers], list[int]()
         for number, k in zip(before.tolist(), outcomes.tolist(), strict=True):
             state, action = names[int(model.pair_state[pair_of[k]])], model.action_of(pair_of[k])

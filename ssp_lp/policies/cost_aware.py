@@ -92,7 +92,7 @@ class CostAwarePolicy(Policy):
 
     @property
     def memory_size(self) -> int:
-        """Number of layers and tails."""
+        """Number of layers below the cap plus number of tail policies."""
         return self.cap + len(self.tails)
 
     @property
@@ -108,7 +108,7 @@ class CostAwarePolicy(Policy):
         return "cost paid"
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the values of the memory with their names: the cost paid, or "tail k"."""
+        """Return the values of the memory with their names: a cost paid, or "tail 0", "tail 1"."""
         layers = [layer * self.unit for layer in range(self.cap)]
         paid = layers if self.levels is None else self.levels[:-1].tolist()
         return list(enumerate([*paid, *(f"tail {k}" for k in range(len(self.tails)))]))

@@ -104,12 +104,12 @@ class TimedPolicy(_Carried):
 
     @property
     def inner(self) -> Policy:  # type: ignore[override]
-        """First stage, by which the memory that the stages share is updated."""
+        """Policy of the first stage, which updates the memory that all stages share."""
         return self.stages[0]
 
     @property
     def digits(self) -> Sequence[Hashable]:
-        """Numbers of the stages."""
+        """The stage numbers 0, 1, ..."""
         return range(len(self.stages))
 
     @property

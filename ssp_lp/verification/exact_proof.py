@@ -385,7 +385,7 @@ def near_choice(ways: Sequence[_Way], dynamics: Dynamics) -> list[int]:
 
 
 def _dynamics_of(ways: Sequence[_Way], n_nodes: int) -> Dynamics:
-    """Return the ways of all nodes, node by node, as a process in double precision."""
+    """Return the columns of all nodes, node by node, as a process in double precision."""
     counts = np.bincount([way.node for way in ways], minlength=n_nodes)
     exits = [(way.total - sum(a for a, _ in way.outcomes)) / way.total for way in ways]
     entries = [(w, j, a / way.total) for w, way in enumerate(ways) for a, j in way.outcomes]
