@@ -127,12 +127,12 @@ class Answers(Report):
         return iter(self.answers)
 
     def __getitem__(self, place: int) -> Answer:
-        """Return the answer to a problem by its place."""
+        """Return the answer to the problem at a position."""
         return self.answers[place]
 
     @property
     def errors(self) -> Mapping[int, SSPError]:
-        """Answers that are errors, by their places."""
+        """Answers that are errors, by the positions of their problems."""
         return {k: answer for k, answer in enumerate(self) if isinstance(answer, SSPError)}
 
     @property

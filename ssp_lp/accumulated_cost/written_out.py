@@ -258,7 +258,7 @@ class OpenEnded(ChargedLayers):
 
     @property
     def is_settled(self) -> bool:
-        """Whether the charge is affine from the cap on."""
+        """Whether the charge is affine at the cap and beyond."""
         return bool(self.totals.values[-1] >= (self.charge.settled or 0.0))
 
     @cached_property

@@ -215,7 +215,7 @@ class ModelSimulator:
 
     @cached_property
     def _sums(self) -> FloatArray:
-        """Cumulative sums of the outcomes' probabilities, from 0 on, [outcomes + 1]."""
+        """Cumulative sums of the outcomes' probabilities, beginning with 0, [outcomes + 1]."""
         return np.append(0.0, np.cumsum(self.model.probabilities))
 
 

@@ -113,8 +113,8 @@ def find_threshold(
         player: finds best responses.
         budget: epsilon.
         share: 1 in case M, 1 - epsilon in case S.
-        previous: responses found before, which include those of ``extremes``. If all of them exceed
-            the budget, the excess is due to rounding, and their least failure replaces the budget.
+        previous: responses of earlier searches and of ``extremes``. If all of them exceed the
+            budget, the excess is due to rounding, and their least failure replaces the budget.
         room: the budget minus the responses' origin, if known more accurately than this difference.
         tolerance: relative width of the bracket to reach.
         progress: called after each game with (responses, price of failure, upper end).
@@ -274,7 +274,7 @@ def construct(kind: type[Player], problem: Problem, tail: float | None = None) -
     Args:
         kind: the class; ``BayesPlayer`` leaves J_obj undiscounted.
         problem: states the case, the start and the discount (paper, section 3.1).
-        tail: in case S the total cost M from which on pi'_or is followed (section 3.5.1), or None.
+        tail: in case S the total cost M at which pi'_or takes over (section 3.5.1), or None.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.

@@ -85,7 +85,7 @@ class _Ends:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _ArrivalCosts:
-    """A charge at the goal: a function of the total cost that is affine from ``affine_from`` on."""
+    """A charge at the goal: a function of the total cost that is affine above ``affine_from``."""
 
     function: Callable[[FloatArray], FloatArray]
     affine_from: float
