@@ -70,7 +70,7 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
             rounds += 1
             size = f"{part.n_expanded:,} states explored in {rounds} rounds"
             progress = f"{size}{_bound_in_words(solution)}"
-            _LOG.info("%s, %d wanted", progress, wanted.size)
+            _LOG.info("%s, %d to expand next", progress, wanted.size)
             if not wanted.size:
                 final, progress = solution, size
             elif deadline.is_past():
@@ -145,7 +145,7 @@ def _answered(
 def _even_at_best(error: InfeasibleError) -> InfeasibleError:
     """Restate the error of an infeasible part for the whole model, which is infeasible, too."""
     return InfeasibleError(
-        f"even if unexplored states attain their bounds: {error}",
+        f"infeasible even if unexplored states attain their bounds: {error}",
         failure_budget=error.failure_budget,
         least_failure=1.0,
         least_discounted_failure=None if error.least_discounted_failure is None else 1.0,
