@@ -377,7 +377,7 @@ class _Optimum:
         wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
         if wrong.any():
             label = self.measure.program.label(int(own[np.argmax(wrong)]))
-            raise ModelError(f"the value of {label} is too rough: compare two solves")
+            raise ModelError(f"the value of {label} is inaccurate: solve at two values and compare")
         return own[each], outcome, place, worth
 
     @cached_property
@@ -680,7 +680,7 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
         raise
     if 2.0 * seconds_left() < limit:
         raise Stop  # the limit has cut the solver short of a vertex
-    raise SolverError("the LP solver found no vertex, whose prices are needed: compare two solves")
+    raise SolverError("the LP solver found no vertex, no prices: solve at two values and compare")
 
 
 def _facts(model: SSP) -> dict[str, Any]:

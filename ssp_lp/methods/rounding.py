@@ -276,7 +276,7 @@ def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
         rows = Rows.of_failure(row.raised_to(safest), pricing)
         found = lottery_within(pricing, [*columns, safest], rows, ratio=True)
     if found is None:
-        raise SolverError("the policy of least failure never reaches the goal on the true model")
+        raise SolverError("the safest policy fails surely at unrounded costs: round the costs")
     return Answer(found.lottery(pricing), found.objective, 0.0, found.failure)
 
 

@@ -260,5 +260,5 @@ def check_label(model: SSP) -> FailureSSP:
         ModelError: it is another model.
     """
     if model.failure_label is None:
-        raise ModelError("the policy ends when it fails, as its problem counts nothing afterwards")
+        raise ModelError("no actions after failing exist, because the problem counts nothing there")
     return model.failure_label

@@ -235,7 +235,7 @@ class ProductSSP(SSP):
             step = kept, state, self.action_of(pair), there, cost
             if (after := update(*step)) not in self.memory_number:
                 told = f"the step from {state!r} by {step[2]!r} to {there!r} at cost {cost:g}"
-                other = f"the memory {after!r}, which the product lacks: is it a step of the model?"
+                other = f"the memory {after!r}, unknown to the product: check that it is possible"
                 raise ModelError(f"{told} leads to {other}")
             return self.memory_number[after]
 
@@ -385,7 +385,7 @@ def product(
     goal[refused] = [bool(memory.accepts(kept[k])) for k in number[refused].tolist()]
     refused &= ~goal
     if not goal.any():
-        raise ModelError("no run from the start reaches a goal with a memory that it accepts")
+        raise ModelError("no run from the start reaches a goal with an accepted memory")
     return ProductSSP(
         **fields,
         states=ProductStates(names, tuple(numbers), read_only(state), read_only(number)),
@@ -570,7 +570,7 @@ def within_steps(
         leaving = inside[source] & ~inside[model.successors] & (model.probabilities > 0.0)
         if leaving.any():
             state = model.states[int(source[int(np.argmax(leaving))])]
-            raise ModelError(f"state {state!r} can be left: states in survive must be absorbing")
+            raise ModelError(f"survive must name absorbing states, but state {state!r} can be left")
     begin = None
     if start is not None:
         begin = [model.index_of(state) for state in no_lone_string(start, "start")]

@@ -466,7 +466,7 @@ def _decomposed(
     excess = (followed - visits - subtracted)[taken] / often[taken]
     wrong = max(float(excess.max(initial=0.0)), remaining)
     if wrong > _WRONG:
-        raise SolverError(f"no lottery has the program's visits to within {wrong:.1e}")
+        raise SolverError(f"the lottery misses the program's visits by {wrong:.1e}: use solve()")
     total = np.sum(weights)
     return tuple(members), np.array(weights) / total, followed / total
 

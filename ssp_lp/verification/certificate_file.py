@@ -492,7 +492,7 @@ def certificate_of(solution: Solution) -> list[bytes]:
     problem = solution.problem
     check_not_rounded(problem.tracked.model, "a certificate file")
     if solution.run.deterministic and problem.failure_budget is not None:
-        raise _refused(problem, f"deterministic optimality needs a search tree{_IN_MEMORY}")
+        raise _refused(problem, f"the best deterministic policy is not covered{_IN_MEMORY}")
     statement = Statement(problem)
     question, answer, done = statement.question, None, dict[str, Bounds]()
     if question["quantile"] is not None:
@@ -595,10 +595,10 @@ def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
             paid = np.rint(paid / policy.unit) * policy.unit
         memory = policy.remember(memory, memory, states, paid)
     elif policy.memory_size != 1:
-        raise ModelError("no certificate file of a policy that remembers more than the total cost")
+        raise ModelError("no certificate file for a policy that remembers more than the total cost")
     branches = policy.branches(states, memory)
     if len(branches.situation) != acting.size:
-        raise ModelError("no certificate file of a policy that draws its actions at random")
+        raise ModelError("no certificate file for a policy that draws its actions at random")
     taken = np.where(branches.pair < 0, UNDECIDED, branches.pair - model.pair_offsets[states])
     table = dict(zip([every[k] for k in acting.tolist()], taken.tolist(), strict=True))
 
