@@ -1,4 +1,4 @@
-"""AlphaMCMP: minimum expected cost at a share of the greatest goal probability."""
+"""AlphaMCMP: minimum expected cost with at least a share of the greatest goal probability."""
 
 from __future__ import annotations
 

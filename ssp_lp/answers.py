@@ -433,7 +433,7 @@ class _Crew:
         return OutOfTimeError(_TOO_LATE)
 
     def _end(self) -> None:
-        """End the built-in processes at once; another executor finishes problems that are begun."""
+        """End the built-in processes at once; a user's executor finishes problems in progress."""
         for future in self._running:
             future.cancel()
         if self._is_own:
@@ -464,7 +464,7 @@ class _Crew:
             future.add_done_callback(self._finished.put)
 
     def _answer_of(self, place: int, future: Future[bytes | None]) -> Answer | None:
-        """Return the answer that came back from the crew; None: send the problem again."""
+        """Return the answer of a worker; None: the problem must be sent again."""
         error = CancelledError() if future.cancelled() else future.exception()
         if isinstance(error, BrokenExecutor):
             self._is_broken = True

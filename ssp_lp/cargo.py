@@ -79,10 +79,10 @@ class Cargo:
     """
 
     def __init__(self, content: bytes | memoryview = b"") -> None:
-        """Begin without models.
+        """Begin with no model in memory.
 
         Args:
-            content: content of the file, if another process wrote it.
+            content: content of a file of models that another process wrote; empty: no such file.
         """
         self._content = memoryview(content)
         self._models: dict[int, SSP] = {}  # place -> model

@@ -307,7 +307,7 @@ class Formulation(Problem):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Worth of an episode, from the attributes ``give_up``, ``penalty``, ``aim`` and others."""
+        """Value of an episode, from the attributes ``give_up``, ``penalty``, ``aim`` and others."""
         give_up, charged = GiveUp(str(self.give_up)), bool(self.charge_failing_step)
         return FailureSemantics(give_up, charged, float(self.penalty), self.aim, self.measure)
 

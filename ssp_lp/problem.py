@@ -98,7 +98,7 @@ class Problem(ReadOnlyCopies):
 
     @property
     def semantics(self) -> FailureSemantics:
-        """Worth of an episode: which cost counts and what failing costs."""
+        """Value of an episode: which cost counts, and what failing costs."""
         return EXACT
 
     @property

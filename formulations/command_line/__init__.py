@@ -64,7 +64,7 @@ def _run_command(asked: Mapping[str, Any]) -> int:
 
 
 def _warn_on_command_line(message: Warning | str, *_: object, **__: object) -> None:
-    """Write a warning to standard error as a line of the command."""
+    """Write a warning to standard error in the form of the command's own messages."""
     _tell(f"warning: {message}")
 
 

@@ -66,7 +66,7 @@ class _CommandModel:
 
     @property
     def written_out(self) -> tuple[SSP, Start | None]:
-        """The model and its start; with a horizon, the product that counts steps and its start.
+        """Return the model and its start; with a horizon, those of the product that counts steps.
 
         Raises:
             ModelError: a horizon without a start.

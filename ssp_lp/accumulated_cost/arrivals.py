@@ -149,7 +149,7 @@ class _LayerPower(NamedTuple):
     leaves: FloatArray  # [places] probability of having lost the goal
 
     def scaled(self) -> _LayerPower:
-        """Return the power with each row rescaled to 1 minus its probability of leaving."""
+        """Return the power with rows of ``onward`` rescaled so that all probabilities sum to 1."""
         exits, total = self.lands + self.leaves, self.onward.sum(axis=1)
         stays = exits <= _MOSTLY_STAYS
         factor = np.divide(1.0 - exits, total, out=np.ones_like(exits), where=stays)
@@ -191,7 +191,7 @@ class _LayerPowers:
         return len(self.node)
 
     def _one_layer(self) -> _LayerPower:
-        """Return the effect of one layer: mass of delay 0 moves on, other delays fall by 1."""
+        """Return the effect of passing a layer: mass of delay 0 moves, other delays fall by 1."""
         n_nodes = len(self._lost) + 1
         columns = np.append((self.delay + 1) * n_nodes + self.node, n_nodes - 1)
         leaving = np.hstack([self._onward[:, columns].toarray(), self._lost[:, None]])
@@ -435,7 +435,7 @@ class Arrivals:
         return self.settled + layers
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Return Pr(goal) and E[C - r; goal] of arrivals from a layer of total cost r on.
+        """Return Pr(goal, C >= r) and E[C - r; goal, C >= r], where r is the total cost of a layer.
 
         Args:
             layer: the layer; None: the first one that is not settled. For a later one :attr:`leaps`
@@ -625,7 +625,7 @@ class FollowedSums(Arrivals):
         return np.array(totals, dtype=np.float64).reshape(np.shape(layers))
 
     def last_layer(self, bound: float | Fraction) -> int:
-        """Return the last layer within a bound; a sum may exceed the bound by rounding."""
+        """Return the last layer whose total cost is at most a bound, up to rounding."""
         return int(Fraction(bound) * (1 + Fraction(SAME_TOTAL) / 2) // self.unit)
 
     def settle(self, layers: int) -> None:
@@ -669,7 +669,7 @@ class FollowedSums(Arrivals):
         return self._followed <= self._end and self._arrived >= _SOME * self._goal
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Return Pr(goal) and E[C - r; goal] of the unsettled sums; r: total cost of a layer."""
+        """Return Pr(goal, C >= r) and E[C - r; goal, C >= r]; r is the total cost of a layer."""
         goal, cost, frontier = 0.0, 0.0, self.settled if layer is None else layer
         for begun, parts in self._pending.items():
             delay = float((begun - frontier) * self.unit)
@@ -680,7 +680,7 @@ class FollowedSums(Arrivals):
         return goal, cost
 
     def _settle_sum(self, layer: int) -> None:
-        """Settle the least waiting sum, ``layer`` units."""
+        """Settle the least sum with waiting mass; the sum is ``layer`` units."""
         parts = self._pending.pop(layer)
         nodes = np.concatenate([part[0] for part in parts])
         masses = np.concatenate([part[1] for part in parts])

@@ -81,7 +81,7 @@ class TailValues(NamedTuple):
     def stacked(
         cls, policies: Sequence[TailValues], seen: Callable[[FloatArray], FloatArray]
     ) -> TailValues:
-        """Return the values of several policies as rows, each array mapped by ``seen``."""
+        """Stack the values of several policies as rows; ``seen`` maps each array first."""
         return cls(
             *(np.array([seen(each) for each in same]) for same in zip(*policies, strict=True))
         )
@@ -138,7 +138,7 @@ class Charge(ABC):
         return bool(np.isclose(float(self.at(np.array([total]))[0]), line, rtol=1e-9))
 
     def lossless(self, price: float) -> float:
-        """Return the total at which the affine part equals a price of failing; 0 if it is flat."""
+        """Return the total at which the affine part equals a price of failing; 0 if constant."""
         return max((price - self.offset) / self.slope, 0.0) if self.slope > 0.0 else 0.0
 
     def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
@@ -212,7 +212,7 @@ class ExcessCharge(Charge):
         return 1.0 / self.share
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return the integrand or its lower bound, in the shape of ``totals``."""
+        """Return the charge at total costs, in the shape of ``totals``."""
         late = np.maximum(np.asarray(totals) - self.threshold, 0.0)
         first = self.threshold if self.first is None else self.first
         return np.asarray(np.clip(totals, first, self.threshold) + late * self.slope)
@@ -232,7 +232,7 @@ class Measure(ABC):
 
     @property
     def failing(self) -> float:
-        """Worth of a run that fails, if the measure is an expectation."""
+        """Value of a run that fails, if the measure is an expectation."""
         return float("inf")
 
     @property
@@ -242,7 +242,7 @@ class Measure(ABC):
 
     @property
     def charge(self) -> Charge:
-        """The charge whose expectation is the measure, or with which a search for it begins."""
+        """Charge whose mean is the measure or, for a risk measure, with which its search begins."""
         return TOTAL_COST
 
     @abstractmethod
@@ -251,13 +251,13 @@ class Measure(ABC):
 
 
 class Reward(Charge, Measure):
-    """A maximised expectation; the minimised charge is worth of failing minus worth of success."""
+    """A maximised expectation; the charge is the value of failing minus the value of success."""
 
     maximised = is_expectation = True
 
     @property
     def failing(self) -> float:
-        """Worth of a run that fails: 0."""
+        """Value of a run that fails: 0."""
         return 0.0
 
     @property
@@ -298,7 +298,7 @@ class ExpectedUtility(Reward):
 
     @property
     def failing(self) -> float:
-        """The utility of infinite cost, the worth of a run that fails."""
+        """Utility of a run that fails: the utility of infinite cost."""
         return self.at_infinity
 
     @property

@@ -182,7 +182,7 @@ class CostLaw:
             raise ModelError(f"rate must be a number of at most 0, not {in_short(rate)}")
 
         def discounted(chain: Chain) -> float:
-            """Return a member's expectation; a step's factor exp(rate * cost) is a discount."""
+            """Return E[exp(rate * C); goal] of a chain: exp(rate * cost) discounts each step."""
             lost, factor = chain.per_node(-np.expm1(rate * chain.cost)), np.exp(rate * chain.cost)
             chance, give_up = chain.probability * factor, chain.give_up + lost
             tilted = replace(chain, probability=chance, give_up=give_up)
@@ -213,7 +213,7 @@ class CostLaw:
             return utilities(utility, costs) - at_infinity
 
         def gained(arrivals: Arrivals) -> float:
-            """Return the expected gain, followed until the rest is negligible."""
+            """Return the expected gain, summed until the gain of later arrivals is negligible."""
             for _ in arrivals.followed():
                 layers, masses = arrivals.atoms()
                 settled_gain = float(masses @ gain(arrivals.cost_of(layers)))
@@ -299,7 +299,7 @@ class CostLaw:
 
     @cached_property
     def _live(self) -> LiveChain:
-        """Chains of the members side by side, as far as they can reach the goal."""
+        """The chains of the lottery's members as one chain, without nodes that lose the goal."""
         return LiveChain.of(self._chains, self._weights)
 
     @cached_property

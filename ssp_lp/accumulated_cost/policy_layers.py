@@ -52,7 +52,7 @@ _LOG = logging.getLogger("ssp_lp.evaluation")
 
 @dataclass(frozen=True, eq=False)
 class _Staying:
-    """Moves of cost 0, which stay within a layer, among k states."""
+    """Moves of cost 0, which stay within a layer, among k of its states."""
 
     share: sp.csr_array  # [k, k] probabilities
     paid: sp.csr_array  # [k, k] probabilities times cost
@@ -109,7 +109,7 @@ class LayerMoves:
 
     @cached_property
     def classes(self) -> IntArray:
-        """Index of each outcome's cost among the distinct costs, [outcomes]; empty if only one."""
+        """Index of each outcome's cost among the distinct costs, [outcomes]; one cost: empty."""
         costs, model = self.layers.costs, self.model
         if len(costs) == 1:
             return _NO_CLASSES
@@ -145,7 +145,7 @@ class LayerMoves:
 
     @cached_property
     def free_order(self) -> IntArray:
-        """States of a layer, each after those reached by its free moves, [states]."""
+        """States of a layer, each after the states that it reaches at cost 0, [states]."""
         model = self.model
         staying = (self.layers.leads(0) <= 0)[self.classes if self.classes.size else [0]]
         begins = model.outcome_offsets[model.pair_offsets]

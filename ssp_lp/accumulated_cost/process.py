@@ -82,7 +82,7 @@ class AccumulatedCost:
 
     @cached_property
     def by_steps(self) -> bool:
-        """Whether a class of steps is a distinct cost, rather than a multiple of a unit."""
+        """Whether steps are classified by distinct costs, rather than by multiples of a unit."""
         return self.last_steps is not None
 
     @cached_property
@@ -106,7 +106,7 @@ class AccumulatedCost:
 
     @cached_property
     def instant_dynamics(self) -> Dynamics:
-        """Dynamics of the free steps within a layer; steps to later layers are exits."""
+        """Dynamics of the steps of cost 0 within a layer; steps to later layers are exits."""
         onward = np.asarray(written_out(self.later).sum(axis=1)).ravel()
         exits = onward + self.survival * self.gain + self.failure
         return Dynamics(self.pair_offsets, self.instant, exits, is_reused=True)
@@ -129,7 +129,7 @@ class AccumulatedCost:
 
     @property
     def steps(self) -> sp.csr_array:
-        """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
+        """Transitions of steps, [pairs, width * nodes]; column = class of step * nodes + node."""
         later, n = written_out(self.later), self.n_nodes
         if len(self.instant.indices):
             return sp.csr_array(sp.hstack([self.instant, later]))
@@ -242,7 +242,7 @@ def accumulate_cost(
 
 
 def _departing(base: AccumulatedCost) -> AccumulatedCost:
-    """Remove self-loops of cost 0 by conditioning each pair on departing; no total changes."""
+    """Remove self-loops of cost 0: condition each pair on departing, which keeps all totals."""
     later = written_out(base.later)
     leak = base.gain + base.failure + np.asarray(later.sum(axis=1)).ravel()
     instant = base.instant.copy()
@@ -374,13 +374,13 @@ class LayeredTails:
 
     @cached_property
     def first(self) -> TailValues:
-        """Values of the first tail, [nodes] each."""
+        """Values of the first tail policy, [nodes] each."""
         return self.values.row(0)
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredProcess(ChargedLayers):
-    """The process with layers below ``cap``; beyond it a policy follows a tail for ever."""
+    """The process with layers below ``cap``; beyond it a stationary tail policy is followed."""
 
     base: AccumulatedCost
     totals: Totals
@@ -394,7 +394,7 @@ class LayeredProcess(ChargedLayers):
 
     @cached_property
     def beyond_units(self) -> FloatArray:
-        """Accumulated costs at which tails take over, in units, [layers, 1]."""
+        """Accumulated costs at which tail policies take over, in units, [layers, 1]."""
         if not self.base.by_steps:
             return self.cap + np.arange(self.base.width - 1.0)[:, None]
         return self.totals.beyond[:, None]
@@ -420,7 +420,7 @@ class LayeredProcess(ChargedLayers):
         return np.where(total <= self.end, -np.inf, total)
 
     def measures_beyond(self, price: float) -> FloatArray:
-        """Return charge, failure and goal of the tail chosen at a price, [layers, nodes, 3]."""
+        """Return charge, failure and goal of the tail best at a price, [layers, nodes, 3]."""
         last = self.beyond_units >= self.threshold(price)[None, :]
         chosen, paid = self.tails.values.chosen(last), self.beyond_units * self.base.unit
         charged = self.charge.beyond(paid, chosen)

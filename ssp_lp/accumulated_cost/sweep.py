@@ -156,12 +156,12 @@ class Sweep:
         return self.process.base.pair_offsets[:-1]
 
     def charged(self, layer: int) -> PairCost:
-        """Return the charges of the pairs of a layer, ``on_top`` included, [pairs]."""
+        """Return the charges of the pairs of a layer, with the field ``on_top`` added, [pairs]."""
         charge = self.process.charged(layer)
         return charge if self.on_top is None else replace(charge, fixed=charge.fixed + self.on_top)
 
     def room_for_choice(self, layers: int | None = None) -> IntArray:
-        """Return an empty array for a choice over layers, in the smallest integer type."""
+        """Allocate an array for the choice in each layer, in the smallest integer type."""
         most = int(np.diff(self.process.base.pair_offsets).max(initial=1))
         size = self.process.cap if layers is None else layers, len(self.first_pairs)
         return np.empty(size, dtype=least_integer_type(most))
@@ -265,7 +265,7 @@ class Sweep:
         inner, floor = self._first_choice, priced.floor
 
         def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
-            """Return the lower bounds of a layer; with free steps, start from the last choice."""
+            """Return the lower bounds of a layer; with steps of cost 0, by policy iteration."""
             nonlocal inner
             most, is_free = given[layer], bool(np.isposinf(given[layer]).all())
             if not is_free:
@@ -447,7 +447,7 @@ class Sweep:
             return lambda layer: (replace(cost, factor=float(totals[layer])), *sizes_of)
 
         def summed(layer: int) -> tuple[PairCost, FloatArray, FloatArray]:
-            """Return the pair costs and sizes of a layer that has its own charges."""
+            """Return pair costs, and sizes for rounding, of a layer that has its own charges."""
             fixed = weight * self.charged(layer).fixed
             size, most = (np.abs(fixed) + owed + saved, np.abs(fixed)) if sizes else (owed, owed)
             return PairCost(fixed + owed - saved), size, np.maximum(alone, most)
@@ -511,12 +511,12 @@ class Sweep:
 
     @cached_property
     def is_acyclic(self) -> bool:
-        """Whether there are no free steps, so that no equations are solved within a layer."""
+        """Whether no step costs 0, so that no equations are solved within a layer."""
         return self.process.base.instant.nnz == 0
 
     @property
     def can_follow(self) -> bool:
-        """Whether a forward sweep is possible: no free steps, and compiled loops."""
+        """Whether a forward sweep is possible: no step costs 0, and loops are compiled."""
         if self.by_blocks:
             return accelerated(self.process.cap * self.process.base.n_nodes, "layers.follow_layers")
         entries = self.process.cap * self.process.base.later.nnz
@@ -616,7 +616,7 @@ def _sweep_plainly(
     layers: _Layers, weight: float, owed: FloatArray, saved: FloatArray, values: FloatArray,
     measured: FloatArray, position: IntArray, keeps: bool, _: FloatArray, given: FloatArray,
 ) -> None:  # fmt: skip
-    """Sweep as ``layers.sweep_layers`` does, in numpy, over layers without free steps."""
+    """Do the work of ``layers.sweep_layers`` in numpy, for layers without steps of cost 0."""
     n, offsets, nodes = layers.offsets.size - 1, layers.offsets.astype(np.int64), layers.nodes
     width, number = (int(layers.leads.max(initial=0)) + 1) * n, np.arange(offsets[-1])
     begins, lengths, is_even = offsets[:-1], np.diff(offsets), len(layers.leads) == 1

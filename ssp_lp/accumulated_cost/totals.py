@@ -125,7 +125,7 @@ def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]
 
 @dataclass(frozen=True, eq=False)
 class StepClasses:
-    """Classes of steps: the number of units in a step's cost, or the index of this cost."""
+    """Classes of steps: a step's cost in units, or its index among the distinct costs."""
 
     unit: Fraction
     ahead: IntArray  # [outcomes] class of each counted outcome; 0 for others
@@ -367,7 +367,7 @@ class Totals:
 
     @cached_property
     def exact(self) -> bool:
-        """Whether every sum of steps up to the cap is a total."""
+        """Whether every sum of step costs up to the cap is the total of a layer."""
         if self.complete:
             return True
         below, share = self.leads
@@ -394,7 +394,7 @@ class Totals:
         return below, np.where(share * gap <= self._room, 0.0, share)  # rounded down: a lower bound
 
     def leads_by(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
-        """Return ``leads`` for some classes of steps, [totals, classes] each."""
+        """Return the columns of :attr:`leads` for some classes of steps, [totals, classes] each."""
         if self.unit is None:
             below, share = self.leads
             return below[:, kinds], share[:, kinds]
@@ -422,7 +422,7 @@ class Totals:
 
     @property
     def with_beyond(self) -> FloatArray:
-        """The totals below the cap, followed by ``beyond``."""
+        """The totals below the cap, followed by those of :attr:`beyond`."""
         return np.append(self.values[:-1], self.beyond)
 
     @property
@@ -434,7 +434,7 @@ class Totals:
         return self.reached_by(np.arange(len(self.steps)))
 
     def reached_by(self, kinds: IntArray) -> IntArray:
-        """Return ``reached`` for some classes of steps, [totals below the cap, classes]."""
+        """Return the columns of :attr:`reached` for some classes of steps, [totals, classes]."""
         if self.unit is not None:
             return np.arange(self.size)[:, None] + kinds
         sums = self.values[:-1, None] + self.steps[kinds]

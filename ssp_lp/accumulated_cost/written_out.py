@@ -289,7 +289,7 @@ class OpenEnded(ChargedLayers):
 
     @cached_property
     def shift_of_ends(self) -> tuple[FloatArray, float]:
-        """``shift`` times the probability of ending: by each pair, [pairs], and at the start."""
+        """Expected charge ``shift`` for ending: by each pair, [pairs], and at the start."""
         base = self.base
         ends = base.survival * base.gain + base.failure
         return self.shift * ends, self.shift * (base.start_goal + base.start_failure)
@@ -353,7 +353,7 @@ class LastLayer:
 
 
 def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
-    """Raise :class:`ModelError` if written out layers have more than ``most`` pairs."""
+    """Raise :class:`ModelError` if all layers together have more than ``most`` pairs."""
     n_pairs = (layers + 1) * len(base.gain)
     if n_pairs > most:
         raise ModelError(

@@ -204,7 +204,7 @@ class ModelSimulator:
 
     @cached_property
     def _stated(self) -> tuple[IntArray, FloatArray]:
-        """Original state of each state, [states], and original cost of each outcome, [outcomes]."""
+        """State before the product, for each state, [states]; and cost, for each outcome."""
         model, stated = self.model, self.model if self.stated is None else self.stated
         state: IntArray = np.arange(model.n_states)
         outcome: IntArray = np.arange(model.n_outcomes)

@@ -83,7 +83,7 @@ def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, fl
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A direction in which numbers of a problem move: changes of the numbers per unit of a step."""
+    """A direction in which a problem's data move: changes of data per unit of the step."""
 
     probabilities: Mapping[int, float] = field(
         default_factory=dict
@@ -512,7 +512,7 @@ class _Optimum:
         return model if isinstance(model, ProductSSP) and model.is_hidden else None
 
     def _stated(self, per_outcome: FloatArray) -> FloatArray:
-        """Sum values over the steps of a horizon, to one for each outcome of the user's model."""
+        """Sum values over the steps of a horizon: one sum for each outcome that the user stated."""
         if (counting := self.counting_steps) is None:
             return per_outcome
         places, size = counting.original_outcome, counting.original.n_outcomes
@@ -529,7 +529,7 @@ class _Optimum:
 
     @cached_property
     def support(self) -> frozenset[Hashable]:
-        """Numbers of the columns (pairs) that the lottery uses, and names of rows with a price."""
+        """Indices of the columns (pairs) that the lottery uses, and names of rows with a price."""
         pairs = self.measure.program.augmented.part.pairs[self.measure.visits > ROUNDING]
         return frozenset(pairs.tolist()) | {
             n for n, y in self.measure.prices.items() if y > ROUNDING

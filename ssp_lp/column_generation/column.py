@@ -64,7 +64,7 @@ class Column:
 
     @cached_property
     def figures(self) -> FloatArray:
-        """Rewards, [rewards]: cost, failure (or minus goal), and the value in each further row."""
+        """Rewards, [rewards]: cost, failure (or minus success), and value of each further row."""
         return np.array([self.cost, -self.goal if self.by_goal else self.failure, *self.rows])
 
 
@@ -122,7 +122,7 @@ class PricingProblem(ABC):
         """Number of rewards: cost, failure and one per further limit."""
 
     def counting_success(self) -> Self:
-        """Return this pricing problem with minus the goal as second reward, if supported."""
+        """Return this pricing problem with failure replaced by minus success, if supported."""
         return self
 
     @property

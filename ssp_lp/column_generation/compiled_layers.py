@@ -59,7 +59,7 @@ class LayeredPricing(PricingProblem):
     n_rewards: ClassVar[int] = 2
 
     def counting_success(self) -> LayeredPricing:
-        """Return this pricing problem with minus the goal as second reward."""
+        """Return this pricing problem with failure replaced by minus success as second reward."""
         return replace(self, by_goal=True)
 
     @property
@@ -181,7 +181,7 @@ class LayeredPricing(PricingProblem):
         return replace(self.process, totals=totals)
 
     def first(self) -> Column:
-        """Return the column of the tail policy to the goal, followed from the start."""
+        """Return the column that follows the tail policy to the goal from the start on."""
         base, tails = self.process.base, self.process.tails
         if tails.guess is not None:
             guess = tails.guess[0], 1.0, tails.guess[1] + base.start_goal
@@ -354,7 +354,7 @@ class LayeredPricing(PricingProblem):
         return Proof(price, failing, float(bounds[0]), kept, work, choice, by_layer=bounds)
 
     def pulled_back(self, column: Column) -> Policy:
-        """Return the cost-aware policy of a column's choice and its tails."""
+        """Return the policy that follows a column's choice below the cap, and tails beyond."""
         return self.process.policy(required(column.choice), column.tail_price)
 
 
@@ -466,7 +466,7 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def is_lossy(self) -> bool:
-        """Whether every cap may change the optimum, as some start cannot surely avoid the goal."""
+        """Whether every cap may change the optimum: a start state cannot surely avoid the goal."""
         return bool(self.facts.start[~attention_states(self.facts.model)].any())
 
     @property

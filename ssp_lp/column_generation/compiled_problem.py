@@ -895,7 +895,7 @@ class CompiledExplicit(CompiledProblem):
         return replace(self, budget=budget, side=side, priced=priced)
 
     def charging(self, charge: Charge) -> CompiledExplicit:
-        """Return the problem with another charge, whose thresholds are possible total costs."""
+        """Return the problem with another charge; its thresholds must be possible total costs."""
         return replace(self, charge=charge, cap=None, priced=None)
 
     @property

@@ -163,7 +163,9 @@ class OpenEndedPricing(PricingProblem):
         return self._proved(pricing_weights(price), self.anything, best)
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Prove a dual bound from values, [states]; infinite values give the best bound.
+        """Prove a dual bound from values in the shape of ``value_shape``.
+
+        An infinite value stands for the largest one that the sweep can prove.
 
         Raises:
             ModelError: values have the wrong shape.

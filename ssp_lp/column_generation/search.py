@@ -321,7 +321,7 @@ class Master:
         return False
 
     def _price_success_at(self, ratio: float) -> None:
-        """Change the ratio, and lower the bound so that it stays valid: failure is at most 1."""
+        """Change the ratio, and lower the dual bound by the change, since failure is at most 1."""
         rise = ratio - self.rows.ratio
         self.bound -= max(rise if self.rows.by_goal else -rise, 0.0)
         self.rows = replace(self.rows, ratio=ratio)

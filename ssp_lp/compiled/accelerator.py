@@ -211,7 +211,7 @@ def _interrupts_deferred() -> Iterator[None]:
 
 
 class _Loops:
-    """Use of the compiled loops so far; it affects the speed of results only."""
+    """Record of the use of all loops so far; it decides when a loop is compiled."""
 
     def __init__(self) -> None:
         self.running = set[str]()  # loops that run compiled in this process
@@ -256,7 +256,7 @@ class _Loops:
         return passed >= _COMPILED and seconds_left() >= _COMPILING
 
     def refuse(self, loop: str) -> None:
-        """Run the twin of a loop from now on, until it is time to compile the loop."""
+        """Run the numpy twin of a loop until compiling the loop pays."""
         self.running.discard(loop)
         self.cached.discard(loop)
 

@@ -120,7 +120,7 @@ def _has_idle_cores() -> bool:
 
 @contextmanager
 def on_all_cores() -> Iterator[None]:
-    """Return a context in which short loops, too, run on all cores, to compile this version."""
+    """Return a context in which all loops, even short ones, use their version for all cores."""
     before = many_entries.set(0)
     try:
         yield

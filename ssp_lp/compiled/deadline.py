@@ -121,7 +121,7 @@ class Deadline:
             raise Stop
 
     def is_past(self, grace: float = 0.0) -> bool:
-        """Return whether the deadline and a grace period have passed; if so, set ``was_met``."""
+        """Return whether time is up (deadline plus grace, or Ctrl-C); if so, set ``was_met``."""
         past = self.is_interrupted or time.perf_counter() > self.at + grace
         self.was_met = self.was_met or past
         return past

@@ -100,7 +100,7 @@ class _Equations:
         self.products, self._entries = 0, self.halo.ranks.total(rows.nnz)
 
     def leading(self, marked: BoolArray) -> BoolArray:
-        """Return the own nodes from which the policy may reach marked nodes, [own nodes]."""
+        """Return a mask of the rank's nodes from which the policy may reach marked nodes."""
         if not self.halo.ranks.any(~marked):
             return marked
         return self.halo.reaching(self._graph, marked)[: self.halo.n_own]
@@ -319,7 +319,7 @@ class PartitionedProcess(PricingProblem):
         return np.where(better, backup.choice, choice).astype(np.int32)
 
     def _weights(self, price: float | FloatArray) -> FloatArray:
-        """Return the weights of all rewards, given a price of failure or the first weights."""
+        """Return all rewards' weights, given a price of failure or weights of the first rewards."""
         weights = pricing_weights(price)
         return np.append(weights, np.zeros(self.n_rewards - len(weights)))
 

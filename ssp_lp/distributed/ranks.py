@@ -159,7 +159,7 @@ class Halo:
 
     @cached_property
     def numbers(self) -> IntArray:
-        """Numbers of the known states, [known states]."""
+        """Index in the whole model of each known state, [known states]."""
         return np.append(np.arange(self.first, self.end), self.ghosts)
 
     def settled(self, sweep: Callable[[BoolArray], BoolArray], mask: BoolArray) -> BoolArray:

@@ -214,7 +214,7 @@ def chosen_rows(transitions: SparseRows, choice: IntArray) -> sp.csr_array:
 
 @dataclass(frozen=True, eq=False)
 class SharedRows:
-    """A sparse matrix in which several rows may share their numbers."""
+    """A sparse matrix in which several rows may share one stored list of values."""
 
     indptr: IntArray  # [rows + 1] position of each row's first column
     begins: IntArray  # [rows] position of its first number
@@ -228,7 +228,7 @@ class SharedRows:
         return len(self.indices)
 
     def written_out(self) -> sp.csr_array:
-        """Return the matrix in scipy's form, with a number for each entry."""
+        """Return the matrix in scipy's form, with the value of each entry stored separately."""
         data = self.data[concatenated_ranges(self.begins, np.diff(self.indptr))]
         return csr_of(data, self.indices, self.indptr, self.shape)
 
@@ -241,7 +241,7 @@ SparseRows = sp.csr_array | SharedRows
 
 
 def written_out(rows: SparseRows) -> sp.csr_array:
-    """Return a CSR matrix of scipy; numbers that rows share are copied to each row."""
+    """Return a CSR matrix of scipy; values that rows share are copied to each row."""
     return rows.written_out() if isinstance(rows, SharedRows) else rows
 
 

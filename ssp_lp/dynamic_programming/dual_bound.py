@@ -55,7 +55,7 @@ _ONE = np.ones(1)
 
 @dataclass(frozen=True, eq=False)
 class DualBound:
-    """Values that bound the optimum from below, as sums ``values + low``."""
+    """Lower bounds of the optimal values, each the sum of two floats, ``values + low``."""
 
     values: FloatArray  # [states]
     low: FloatArray  # [states] to be added to the values
@@ -306,16 +306,16 @@ def raised(
     asked: IntArray,
     enough: float,
 ) -> tuple[FloatArray, float]:
-    """Raise a sub-solution by backups rounded down; it remains a sub-solution.
+    """Raise a sub-solution, made by lowering values, by backups that are rounded down.
 
-    The loss is the distance from the values before they were lowered. Sweeps end if the loss at all
-    states ``asked`` is small enough, or if it falls too slowly.
+    The result is a sub-solution, too. The loss of a state is its original value minus its raised
+    value. Sweeps end if the loss at all states ``asked`` is small enough, or falls too slowly.
 
     Args:
         dynamics: the process.
         pair_cost: [pairs].
         lowered: a checked sub-solution, [states].
-        values: the values before lowering, [states].
+        values: the original values, before they were lowered, [states].
         asked: states at which the loss must be small.
         enough: loss that is small enough.
 

@@ -58,7 +58,7 @@ _ALIKE = 100.0  # loss of a step, in floors, that is allowed: far above the erro
 
 @dataclass(frozen=True, eq=False)
 class ExtremeReach:
-    """The extreme probability of leaving by the exit ``hit``, and a policy that attains it."""
+    """The greatest or least probability of leaving by the exit ``hit``, and its policy."""
 
     dynamics: Dynamics
     both: FloatArray  # [pairs, 2] probability of leaving by the wanted exit, and by the other
@@ -129,7 +129,7 @@ def _settled_reach(
     start: FloatArray | None,
     last_digits: bool,
 ) -> ExtremeReach:
-    """Compute the extreme probability by policy iteration, with a checked bound."""
+    """Compute the greatest or least probability by policy iteration, with a checked bound."""
     wanted, other = (np.ascontiguousarray(column) for column in both.T)
     run = partial(
         iterate_policy, dynamics, both, _OTHER, floor=floor * (_SOUGHT if last_digits else 1.0)
@@ -286,7 +286,7 @@ def _sweep(
 
 
 def attaining_pairs(found: ExtremeReach) -> BoolArray:
-    """Return a mask of the pairs that attain the extreme, however often they are taken, [pairs]."""
+    """Return a mask of pairs that attain the extreme probability, however often taken, [pairs]."""
     dynamics, choice, both = found.dynamics, found.choice, found.both
     totals = found.totals or evaluate_policy(dynamics, choice, both, PRECISE)
     high, lost = totals.values.T

@@ -71,7 +71,7 @@ class Game:
         return response.objective - self.scale * response.condition
 
     def rises(self, response: BestResponse) -> bool:
-        """Return whether a policy's payoff increases with alpha or is level."""
+        """Return whether a policy's payoff increases with alpha or is constant."""
         return self.excess(response) >= -_LEVEL * self.stake
 
     def best_response(self, player: Player, alpha: float, accuracy: float) -> BestResponse:

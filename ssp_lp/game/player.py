@@ -730,7 +730,7 @@ class BayesPlayer(Player):
 
     @cached_property
     def _blocks(self) -> list[sp.csr_array]:
-        """Undiscounted transitions of each class of steps, [pairs, nodes] each."""
+        """Undiscounted transitions, a matrix [pairs, nodes] for each class of steps (by cost)."""
         base, n = self.base, self.base.n_nodes
         steps = sp.csc_array(base.steps / base.survival)
         return [sp.csr_array(steps[:, k * n : (k + 1) * n]) for k in range(base.width)]

@@ -85,7 +85,7 @@ class EnvironmentSSP(SSP):
         return (END, state) if terminated and state in self.ends else state
 
     def ends_among(self, listed: Callable[[Any], bool], label: Any) -> bool:
-        """Return whether a state of the model is the end of an episode in one of the listed states.
+        """Return whether a state of the model means that an episode ended in a listed state.
 
         Args:
             listed: predicate on states of the environment.

@@ -119,12 +119,12 @@ def trace_frontier(
 ) -> Frontier:
     """Trace the least objective as a function of a budget, from the least feasible budget on.
 
-    The frontier ends where a larger budget no longer lowers the objective. In case M the price of
-    failure is 0 there, in case S it equals the ratio. Over the failure budget alone, the pricing
-    problem is solved at the slope of each segment. If no policy lies below the segment, the segment
-    is part of the frontier; otherwise the policy found splits the segment. Over another limit, or
-    with other limits fixed, the problem is solved at one bound after another, each time where the
-    gap between the upper and the lower bound of the frontier is largest.
+    The frontier ends where a larger budget no longer lowers the objective. There the price of
+    failure is 0 in case M, and equals the objective in case S. Over the failure budget alone, the
+    pricing problem is solved at the slope of each segment. If no policy lies below the segment, the
+    segment is part of the frontier; otherwise the policy found splits the segment. Over another
+    limit, or with other limits fixed, the problem is solved at one bound after another, each time
+    where the gap between the upper and the lower bound of the frontier is largest.
 
     Args:
         problem: its bound on the traced quantity is ignored; all other limits hold.
@@ -867,7 +867,7 @@ class _Optima:
 
     @property
     def points(self) -> list[_Optimum]:
-        """The optima that no other optimum dominates, by increasing ``spent``."""
+        """The optima that no other optimum dominates, by increasing traced quantity (``spent``)."""
         points: list[_Optimum] = []
         for one in sorted(self.optima, key=lambda o: (o.spent, o.value)):
             if not points or one.value < points[-1].value - _STRAIGHT * abs(points[-1].value):
@@ -913,7 +913,7 @@ class _Optima:
         return max(abs(worth(p.value)), abs(worth(q.value)), _LEAST)
 
     def _mixed(self, p: _Optimum, q: _Optimum, bound: float) -> float:
-        """Return the value of the lottery over p and q that spends exactly a bound between them."""
+        """Return the value of the lottery over p and q whose traced quantity is ``bound``."""
         w = (bound - p.spent) / (q.spent - p.spent)
         goals = ((1.0 - w) * p.goal, w * q.goal) if self.stated.ratio else (1.0 - w, w)
         return (goals[0] * p.value + goals[1] * q.value) / sum(goals)

@@ -143,11 +143,11 @@ class _Multiples:
     sharp: bool = True  # whether no total can lie between two of them
 
     def total(self, number: int) -> float:
-        """Return the multiple of a given number, as the nearest float."""
+        """Return ``number`` times the unit, as the nearest float."""
         return float(number * self.unit)
 
     def number(self, total: float) -> int:
-        """Return the number of the multiple nearest to a total."""
+        """Return the index of the multiple nearest to a total."""
         return round(total / float(self.unit))
 
 
@@ -168,7 +168,7 @@ class _Sums:
         self._grow(4.0 * float(max(self._steps[-1], self._last[-1])) or 1.0)
 
     def total(self, number: int) -> float:
-        """Return the total of a given number, or the greatest total if there are fewer."""
+        """Return the total with a given index, or the greatest total if there are fewer."""
         size = 0
         while size < len(self._totals) <= number:
             size = len(self._totals)
@@ -176,7 +176,7 @@ class _Sums:
         return float(self._totals[min(number, len(self._totals) - 1)])
 
     def number(self, total: float) -> int:
-        """Return the number of the total nearest to a cost."""
+        """Return the index of the possible total that is nearest to a cost."""
         while self._cap <= total * (1.0 + 1e-9):
             self._grow(2.0 * self._cap)
         return int(np.abs(self._totals - total).argmin())

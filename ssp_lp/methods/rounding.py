@@ -509,7 +509,7 @@ def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction
 
 
 def _span_of_steps(problem: Problem) -> float:
-    """Return the greatest total that split costs must resolve, without costs of last steps."""
+    """Return :func:`span_of_totals`, with only the costs of steps that do not end the episode."""
     return span_of_totals(problem, float(step_costs(problem.model)[1][-1]))
 
 

@@ -151,7 +151,10 @@ class Grid:
 
     @explained
     def index_of(self, cells: npt.ArrayLike) -> tuple[IntArray, ...]:
-        """Return the position of each cell along each axis, from the numbers of cells.
+        """Return the position of each cell along each axis.
+
+        Args:
+            cells: a number for each cell, in any shape.
 
         Raises:
             ModelError: a number that no cell has.
@@ -430,7 +433,7 @@ class ContinuousModel:
             answer = np.asarray(self.allowed(middles, action))
             if answer.dtype != np.bool_ or answer.shape not in ((), (count,)):
                 raise ModelError(
-                    f"allowed must return True or False for each of {count:,} cells, not "
+                    f"allowed() must return True or False for each of {count:,} cells, not "
                     f"{in_short(answer)}"
                 )
             there[:, k] = answer
@@ -526,12 +529,12 @@ def _read_world(
 ) -> tuple[Coordinates, FloatArray, IntArray]:
     """Return the checked coordinates, cost and end in the answer of a step function."""
     if not isinstance(answer, tuple) or len(answer) != 3:
-        raise ModelError(f"step must return (new point, cost, end), not {type(answer).__name__}")
+        raise ModelError(f"step() must return (new point, cost, end), not {type(answer).__name__}")
     moved, paid, ended = answer
     listed = isinstance(moved, Sequence) or (isinstance(moved, np.ndarray) and moved.ndim > 0)
     count = len(moved) if listed else "no"
     if count != n_axes:
-        raise ModelError(f"step returned {count} coordinates; there are {n_axes} axes")
+        raise ModelError(f"step() returned {count} coordinates; there are {n_axes} axes")
     coordinates = tuple(
         _shaped_answer(c, shape, f"coordinate {number}").astype(np.float64, copy=False)
         for number, c in enumerate(moved)
@@ -539,7 +542,8 @@ def _read_world(
     cost = _shaped_answer(paid, shape, "the cost").astype(np.float64, copy=False)
     end = _shaped_answer(ended, shape, "the end")
     if end.dtype.kind not in "biu":
-        raise ModelError("step must return ends as whole numbers: 0 goes on, 1 goal, 2 .. dead-end")
+        ends = "0 (goes on), 1 (goal), 2 or more (dead-end)"
+        raise ModelError(f"step() must return ends as whole numbers: {ends}")
     return coordinates, cost, end
 
 
@@ -555,7 +559,7 @@ def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> 
     )
     if not fits or array.dtype.kind not in "biuf":
         raise ModelError(
-            f"step returned {what} of shape {np.shape(answer)} and type {array.dtype}; it must "
+            f"step() returned {what} of shape {np.shape(answer)} and type {array.dtype}; it must "
             f"be real numbers that broadcast to {shape}, the shape of all points"
         )
     return array

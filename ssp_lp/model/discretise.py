@@ -359,7 +359,7 @@ def _rows_of_action(
         reached = [np.where(taken.end == 0, cell, ends) for cell in reached]
 
     def by_cell(numbers: Any) -> Any:
-        """Return numbers of each trial as an array with a row for each cell, [cells, trials]."""
+        """Return values, one for each trial, as an array with a row for each cell."""
         return np.broadcast_to(numbers, shape).reshape(-1, len(cells)).T
 
     states = np.empty((len(cells), len(reached), math.prod(trials.shape)), dtype=np.int32)
@@ -390,7 +390,7 @@ def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, 
     index = tuple(places[:, None] for places in world.grid.index_of(cells))
     alike = np.asarray(world.alike(index, np.arange(n_actions)[None, :]))
     if alike.ndim > 2 or alike.dtype.kind not in "iu" or alike.min() < 0:
-        raise ModelError("alike must return whole numbers >= 0")
+        raise ModelError("alike() must return whole numbers >= 0")
     kinds = np.broadcast_to(alike, (len(cells), n_actions)).ravel()
     kinds = kinds if len(pairs) == len(kinds) else kinds[pairs - begin * n_actions]
     kinds = kinds - kinds.min()

@@ -450,8 +450,8 @@ def end_marks(model: SSP) -> IntArray:
 def stop_marks(model: SSP) -> IntArray:
     """Return numbers that say how a run ends if the policy stops it in each state, [states].
 
-    The numbers are those of :func:`end_marks`: k + 2, having given up, or in a product with the
-    failure label the number of the dead-end.
+    The number is that of :func:`end_marks` for having given up. In the dead-ends of a product with
+    the failure label, it is the number of the dead-end instead.
     """
     if model.failure_label is not None:
         return model.failure_label.stop_marks

@@ -49,12 +49,12 @@ Label = tuple[Hashable, Hashable]
 
 
 def _always_in_product(memory: Any) -> bool:
-    """Return True: by default reaching a goal is a success with every memory."""
+    """Return True: by default, reaching a goal is a success whatever the memory is."""
     return True
 
 
 def _never_in_product(memory: Any) -> bool:
-    """Return False: by default an episode fails with no memory."""
+    """Return False: by default, no value of the memory means that an episode has failed."""
     return False
 
 
@@ -363,7 +363,7 @@ def product(
         return numbers[kept]
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the number of the memory after each outcome, given that before it, [entries]."""
+        """Return the number of the memory after each outcome, given the one before, [entries]."""
         memories, moved = [*numbers], list[int]()
         for number, k in zip(before.tolist(), outcomes.tolist(), strict=True):
             state, action = names[int(model.pair_state[pair_of[k]])], model.action_of(pair_of[k])

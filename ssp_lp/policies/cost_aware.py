@@ -92,12 +92,12 @@ class CostAwarePolicy(Policy):
 
     @property
     def memory_size(self) -> int:
-        """Number of layers and tails."""
+        """Number of layers below the cap plus number of tail policies."""
         return self.cap + len(self.tails)
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """Key of the memory's meaning: the layers, and how a tail is chosen."""
+        """Key of the memory's meaning: its layers, and the rule for choosing a tail policy."""
         levels = b"" if self.levels is None else self.levels.tobytes()
         kept = self.cap, self.unit, self.rounds_up, len(self.tails)
         return *kept, self.tail_threshold.tobytes(), levels
@@ -108,7 +108,7 @@ class CostAwarePolicy(Policy):
         return "cost paid"
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the values of the memory with their names: the cost paid, or "tail k"."""
+        """Return the values of the memory with their names: a cost paid, or "tail 0", "tail 1"."""
         layers = [layer * self.unit for layer in range(self.cap)]
         paid = layers if self.levels is None else self.levels[:-1].tolist()
         return list(enumerate([*paid, *(f"tail {k}" for k in range(len(self.tails)))]))

@@ -104,12 +104,12 @@ class TimedPolicy(_Carried):
 
     @property
     def inner(self) -> Policy:  # type: ignore[override]
-        """First stage, by which the memory that the stages share is updated."""
+        """Policy of the first stage, which updates the memory that all stages share."""
         return self.stages[0]
 
     @property
     def digits(self) -> Sequence[Hashable]:
-        """Numbers of the stages."""
+        """The stage numbers 0, 1, ..."""
         return range(len(self.stages))
 
     @property
@@ -158,9 +158,11 @@ def asked(policy: Policy, some: IntArray, states: IntArray, memory: IntArray) ->
 
 
 def merged(memory: IntArray, *parts: Branches) -> Branches:
-    """Merge the decisions in different situations into one ``Branches``, sorted by situation.
+    """Merge decisions in different situations (state, memory) into one ``Branches``, in order.
 
-    ``memory`` has the memory in each situation, [situations].
+    Args:
+        memory: the memory in each situation, [situations].
+        parts: decisions, each part in other situations.
     """
     situation, pair, probability, kept = (
         np.concatenate(part)

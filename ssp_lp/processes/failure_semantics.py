@@ -472,7 +472,7 @@ class Counting:
         return self.goal + self.failure, float(self.start[self.quotient.node_of < 0].sum())
 
     def other_endings(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Return the mass of each pair that ends outside given states, [pairs], and the start's."""
+        """Return the mass that ends outside given states: of pairs, [pairs], and of the start."""
         if (states == self.quotient.model.goal_mask).all():
             return self.failure, float(self.start[self.quotient.dead].sum())
         (every, at_once), (into, there) = self.endings(), self.arrivals(states)

@@ -129,7 +129,7 @@ class Augmented(ABC):
 
     @property
     def width(self) -> int:
-        """Number of pairs of one copy of the live part."""
+        """Number of pairs in each copy of the model without goals and dead-ends."""
         return len(self.quotient.pair_at)
 
     def in_all_copies(self, values: FloatArray) -> FloatArray:

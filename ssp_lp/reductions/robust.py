@@ -322,8 +322,8 @@ def _losing(boxes: Boxes, ends: BoolArray) -> tuple[IntArray, IntArray, BoolArra
     """Find the lost states: there nature can prevent every policy from surely ending.
 
     In each round a state is kept if one of its pairs has, whatever nature does, a positive
-    probability of leading to an end or to a state that was kept before. The other states are lost,
-    and pairs that may lead to them are removed before the next round.
+    probability of leading to an end or to a state that is already kept in this round. The other
+    states are lost, and pairs that may lead to them are removed before the next round.
 
     Args:
         boxes: the boxes.

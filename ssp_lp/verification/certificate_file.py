@@ -55,6 +55,7 @@ _AIM = 1e-12  # relative width for which a cap is chosen by the rate of the earl
 _STEEP = 1000.0  # price of failing with least failure, times 1 + |objective|
 _FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
+_NO_FILE = "a certificate file cannot be written for"
 _IN_MEMORY = "; certify(solution) proves the optimum in memory"
 
 
@@ -182,7 +183,7 @@ def sha256_of(problem: Problem) -> str:
 
 def _refused(problem: Problem, why: str) -> ModelError:
     """Return the ModelError for a problem whose question certificate files do not cover."""
-    return ModelError(f"no certificate file of {type(problem).__name__}: {why}")
+    return ModelError(f"{_NO_FILE} {type(problem).__name__}: {why}")
 
 
 class Statement:
@@ -201,11 +202,11 @@ class Statement:
             raise _refused(problem, f"it counts quantities after failing{_IN_MEMORY}")
         if problem.discount is not None and problem.reach_fraction is not None:
             both = Argument("reach_fraction"), " and ", Argument("discount")
-            raise ModelError(f"no certificate file of {type(problem).__name__} with ", *both)
+            raise ModelError(f"{_NO_FILE} {type(problem).__name__} with ", *both)
         known = TotalCostCharge, Reward, ExpectedArrivalCost
         if charge is not None and not isinstance(charge, known):
             name = type(charge).__name__
-            raise _refused(problem, f"its charge, {name}, is not covered{_IN_MEMORY}")
+            raise _refused(problem, f"its charge, {name}, is not supported{_IN_MEMORY}")
         self.flat, self.charge = problem, charge
         if problem.horizon is not None:
             labels = {**problem.model.state_labels, LATE: np.zeros(0, dtype=np.int64)}
@@ -595,10 +596,10 @@ def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
             paid = np.rint(paid / policy.unit) * policy.unit
         memory = policy.remember(memory, memory, states, paid)
     elif policy.memory_size != 1:
-        raise ModelError("no certificate file for a policy that remembers more than the total cost")
+        raise ModelError(f"{_NO_FILE} a policy that remembers more than the total cost")
     branches = policy.branches(states, memory)
     if len(branches.situation) != acting.size:
-        raise ModelError("no certificate file for a policy that draws its actions at random")
+        raise ModelError(f"{_NO_FILE} a policy that draws its actions at random")
     taken = np.where(branches.pair < 0, UNDECIDED, branches.pair - model.pair_offsets[states])
     table = dict(zip([every[k] for k in acting.tolist()], taken.tolist(), strict=True))
 

@@ -237,7 +237,7 @@ def _closure(begin: Iterable[int], after: Callable[[int], Iterable[int]]) -> set
 def _ways_of(
     columns: Sequence[Column], costs: Iterable[Fraction], known: Mapping[int, int]
 ) -> list[_Way]:
-    """Return the columns of a block of nodes as ways between its nodes, numbered from 0.
+    """Return a block's columns, restricted to the block, whose nodes are numbered from 0.
 
     Args:
         columns: columns of the block, node by node.
@@ -385,7 +385,7 @@ def near_choice(ways: Sequence[_Way], dynamics: Dynamics) -> list[int]:
 
 
 def _dynamics_of(ways: Sequence[_Way], n_nodes: int) -> Dynamics:
-    """Return the ways of all nodes, node by node, as a process in double precision."""
+    """Return the columns of all nodes, node by node, as a process in double precision."""
     counts = np.bincount([way.node for way in ways], minlength=n_nodes)
     exits = [(way.total - sum(a for a, _ in way.outcomes)) / way.total for way in ways]
     entries = [(w, j, a / way.total) for w, way in enumerate(ways) for a, j in way.outcomes]

@@ -147,7 +147,8 @@ class Program:
     """The linear program of a question: nodes, rows, and the columns at each node.
 
     Args:
-        question: question of a certificate, with the interval of the allowed failure as `failure`.
+        question: question of a certificate; its entry "failure" is an interval that contains the
+            allowed failure probability.
         states: returns the states of the model, from the first one at each call.
         cap: total cost from which on totals are not distinguished.
         lines: number of nodes for which the proof has a line; it limits the work.
