@@ -199,7 +199,7 @@ class _Optimum:
         """Solve the problem's program.
 
         In case S the program distinguishes total costs up to a cap. The cap is raised until no run
-        succeeds beyond it.
+        of an optimal lottery succeeds beyond it.
 
         Args:
             problem: the problem.
@@ -220,8 +220,9 @@ class _Optimum:
         cap = min(cap or first, last)
         while cap <= last:
             measure = _vertex_in_time(solved.with_arguments(cost_cap=cap), begun)
-            if measure.beyond <= _BEYOND:
-                return cls(solved, measure, cap)
+            optimum = cls(solved, measure, cap)
+            if measure.beyond <= _BEYOND and optimum.beyond_by_others <= ROUNDING:
+                return optimum
             cap *= 2.0
         raise SolverError("too many total costs given success for derivatives: round the costs")
 
@@ -585,6 +586,19 @@ class _Optimum:
         if program.ratio:  # the last column is the factor by which all visits are multiplied
             return lambda per, fixed: least(np.append(per, fixed)[columns])
         return lambda per, fixed: least(per[columns]) + fixed
+
+    @property
+    def beyond_by_others(self) -> float:
+        """Greatest probability of success beyond the cap by an optimal lottery, given success.
+
+        The program charges such successes too little. It is 0 if the lottery is the only optimal
+        one, or if the other ones are not compared.
+        """
+        program, own = self.measure.program, self.measure.program.augmented
+        if self.is_unique or self.optima is None:
+            return 0.0
+        is_last = own.part.pairs // own.width == own.copies - 1
+        return -self.optima(np.where(is_last, -program.process.goal, 0.0), 0.0)
 
     def sides(self, change: Change) -> tuple[float, float] | None:
         """Return the derivatives to the left and right in a direction if the prices are unique.

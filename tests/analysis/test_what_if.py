@@ -13,6 +13,7 @@ from formulations import ISSPUDE, MCMP, S3P, CVaR, FinitePenalty, MaxProb, MinCo
 from refusing import refused
 from ssp_lp import SSP, Change, OutOfTimeError, Parameter, secondary_cost, solve, within_steps
 from ssp_lp.analysis import what_if as analysis_of
+from ssp_lp.analysis.what_if import what_if
 from ssp_lp.plotting import plot_parameter, plot_tornado
 from tests.campaigns import what_if_check
 
@@ -274,6 +275,28 @@ def test_optimal_lotteries_that_the_solver_misses_by_rounding_count(seed):
     """Duals off by 1e-10 left out an action that is as good as a used one: sides were wrong."""
     asked = Namespace(small=False, numbers=1.0)
     assert not list(what_if_check.check(seed, Counter(), asked))
+
+
+@pytest.mark.parametrize(("seed", "name"), [(80104, "failure budget"), (70119, "limit 'lost'")])
+def test_prices_are_those_of_late_states_that_are_hardly_visited(seed, name):
+    """HiGHS's own tolerance left a basis whose prices were wrong by 2e-5 of their size."""
+    problem = what_if_check.drawn_problem(np.random.default_rng(seed), "S3P")
+    (effect,) = what_if(
+        problem, lambda number: number.name if number.name == name else None
+    ).effects
+    exact = solve(problem, tolerance=1e-11).objective
+    by_differences = what_if_check.one_sided(problem, effect.number.change, 1.0, 1e-4, exact)
+    assert effect.right == pytest.approx(by_differences, rel=1e-6)
+
+
+def test_no_optimal_lottery_succeeds_beyond_the_last_total():
+    """The solver's own lottery does not, but another optimal one did with probability 2e-5."""
+    problem = what_if_check.drawn_problem(np.random.default_rng(306174), "S3P")
+    name = "chance of home by a2 in 0"
+    (effect,) = what_if(
+        problem, lambda number: number.name if number.name == name else None
+    ).effects
+    assert effect.left == pytest.approx(effect.right, rel=1e-6)
 
 
 def test_a_huge_penalty_elsewhere_does_not_tie_two_ways():
