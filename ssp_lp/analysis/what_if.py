@@ -34,7 +34,7 @@ from typing import Any, cast
 import numpy as np
 
 from ssp_lp.accumulated_cost.written_out import OpenEnded
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, segment_sums
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, segment_minima, segment_sums
 from ssp_lp.compiled.deadline import Stop, check_time, is_late, limited, seconds_left
 from ssp_lp.dynamic_programming.dynamics import leaving_choice
 from ssp_lp.errors import (
@@ -435,37 +435,68 @@ class _Optimum:
         return np.bincount(outcome, often, model.n_outcomes).astype(np.float64)
 
     @cached_property
-    def charged(self) -> list[tuple[float, SSP, float, slice]]:
-        """Actions whose cost a run pays when it fails.
+    def failures(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """Failures for which a run pays the cost of an action.
 
         Returns:
-            For each action and cost the weight, a model whose own cost it is, the failing mass, and
-            the range of the action's outcomes.
+            Column; state whose cheapest action is charged; and failures per visit of the column,
+            [failures] each.
         """
-        if not self.problem.semantics.charge_failing_step:
-            return []
         program, model = self.measure.program, self.problem.model
-        quotient, survival = program.augmented.quotient, survival_of(self.problem.discount)
-        column, outcome, _, _ = self.outcomes
-        often = survival * self.measure.visits[column] * model.probabilities[outcome]
-        lost = np.bincount(model.successors[outcome], often, model.n_states).astype(np.float64)
-        lost = lost * quotient.dead + self.problem.start_mass * quotient.dead
-        gives_up = np.flatnonzero(program.augmented.gives_up)
+        quotient, (column, outcome, _, _) = program.augmented.quotient, self.outcomes
         merged = quotient.merged if program.reduced is None else (
             program.reduced.program.augmented.quotient.merged)  # fmt: skip
+        gives_up, to = np.flatnonzero(program.augmented.gives_up), model.successors[outcome]
         acting = quotient.first_states[quotient.pair_node[program.augmented.part.pairs[gives_up]]]
-        quitting = np.bincount(acting, self.measure.visits[gives_up], model.n_states) * ~merged
-        staying = attention_pairs(model, attention_states(model))
-        if self.problem.semantics.give_up is GiveUp.ANYWHERE:
-            staying = np.ones_like(staying)
-        charges = list[tuple[float, SSP, float, slice]]()
-        for state in np.flatnonzero(lost + quitting > 0.0).tolist():
-            pairs = np.array(model.pairs_of(state), dtype=np.int64)
-            pairs = pairs if quotient.dead[state] else pairs[staying[pairs]]
-            for weight, costs in self.paid if pairs.size else ():
-                pair = int(pairs[np.argmin(cost_means(costs)[pairs])])
-                some = slice(*map(int, model.outcome_offsets[pair : pair + 2]))
-                charges.append((weight, costs, float(lost[state] + quitting[state]), some))
+        ends, quits = quotient.dead[to], ~merged[acting]
+        lost = survival_of(self.problem.discount) * model.probabilities[outcome[ends]]
+        columns = np.concatenate([column[ends], gives_up[quits]])
+        states = np.concatenate([to[ends], acting[quits]])
+        return columns, states, np.append(lost, np.ones(quits.sum()))
+
+    @property
+    def begun_dead(self) -> FloatArray:
+        """Start mass of each dead-end, [states]."""
+        return self.problem.start_mass * self.measure.program.augmented.quotient.dead
+
+    @cached_property
+    def failing_mass(self) -> FloatArray:
+        """Probability of a failure for which an action of each state is charged, [states]."""
+        column, state, per_visit = self.failures
+        failing = per_visit * self.measure.visits[column]
+        return self.begun_dead + np.bincount(state, failing, self.begun_dead.size)
+
+    @cached_property
+    def cheapest(self) -> list[tuple[float, SSP, IntArray]]:
+        """Cheapest actions of each state, one of which a run pays when it fails there.
+
+        For each cost the weight, a model whose own cost it is, and pairs of the model.
+        """
+        model, semantics = self.problem.model, self.problem.semantics
+        home, dead = model.pair_state, self.measure.program.augmented.quotient.dead
+        stays = attention_pairs(model, attention_states(model)) | dead[home]
+        stays |= semantics.give_up is GiveUp.ANYWHERE
+        cheapest = list[tuple[float, SSP, IntArray]]()
+        for weight, costs in self.paid if semantics.charge_failing_step else ():
+            mean = np.where(stays, cost_means(costs), np.inf)
+            least = segment_minima(mean, model.pair_offsets)[home]
+            tied = stays & (mean <= least + ROUNDING * (1.0 + least))
+            cheapest.append((weight, costs, np.flatnonzero(tied)))
+        return cheapest
+
+    @cached_property
+    def charged(self) -> list[tuple[float, SSP, FloatArray, IntArray]]:
+        """Outcomes of the actions whose cost runs may pay when they fail.
+
+        For each cost the weight, a model whose own cost it is, the probability of the failure (0
+        for all but the first of equally cheap actions), and the outcomes.
+        """
+        model, charges = self.problem.model, list[tuple[float, SSP, FloatArray, IntArray]]()
+        for weight, costs, tied in self.cheapest:
+            tied = tied[self.failing_mass[model.pair_state[tied]] > 0.0]
+            state, (some, counts) = model.pair_state[tied], entries_of(model.outcome_offsets, tied)
+            mass = np.where(np.diff(state, prepend=-1) > 0, self.failing_mass[state], 0.0)
+            charges.append((weight, costs, np.repeat(mass, counts), some))
         return charges
 
     @cached_property
@@ -567,9 +598,9 @@ class _Optimum:
 
         Its arguments are the coefficients, [pairs], and a constant. It returns the least value, nan
         if there is none. In case S the value is divided by the goal probability. None instead of
-        the function: several prices may be optimal, or failing steps are charged.
+        the function: several prices may be optimal.
         """
-        if not self.has_one_price or self.problem.semantics.charge_failing_step:
+        if not self.has_one_price:
             return None
         from ssp_lp.linear_programming.highs import minimiser
 
@@ -616,38 +647,48 @@ class _Optimum:
             for place, slope in slopes_of.items()
         ):  # fmt: skip
             return None
-        stated = outcome if counting is None else counting.original_outcome[outcome]
 
         def slopes(of: Mapping[int, float]) -> FloatArray:
-            """Return the change of each entry of ``outcomes``, given changes by outcome."""
-            each = np.zeros((model if counting is None else counting.original).n_outcomes)
+            """Return the change of each outcome's number, given changes of the user's model."""
+            each = np.zeros(given.size)
             each[list(of)] = list(of.values())
-            return np.asarray(each[stated])
+            return each if counting is None else np.asarray(each[counting.original_outcome])
 
-        rises = slopes(change.probabilities)
-        gain = np.where(rises == 0.0, 0.0, rises * worth)
+        rises, own = slopes(change.probabilities), list[FloatArray]()
+        gain = np.where(rises[outcome] == 0.0, 0.0, rises[outcome] * worth)
         for weight, costs in self.paid:
             name = self._name_of(costs)
-            own = {k: slope for (cost, k), slope in change.costs.items() if cost == name}
-            gain += weight * model.probabilities[outcome] * slopes(own)
+            moved = {k: slope for (cost, k), slope in change.costs.items() if cost == name}
+            own.append(model.probabilities * slopes(moved))
+            gain += weight * own[-1][outcome]
         per = np.bincount(column, gain, process.n_pairs) + change.bounds.get("penalty", 0.0) * (
             process.failure)  # fmt: skip
         bounds = {name: slope for name, slope in change.bounds.items() if name != "penalty"}
         fixed = self.along(Change(bounds=bounds, start=change.start)) / self.scale
         if not np.isfinite(per.sum() + fixed):
             return None
-        least, most = self.optima(per, fixed), -self.optima(-per, -fixed)
-        sign = float(np.sign(self.scale))
-        return (sign * most, sign * least) if np.isfinite(least + most) else None
+        sides = list[float]()
+        for sign in (-1.0, 1.0):
+            total, constant = sign * per, sign * fixed
+            for (weight, costs, tied), moves in zip(self.cheapest, own, strict=False):
+                mean = segment_sums(rises * costs.costs + moves, model.outcome_offsets)[tied]
+                charge, (failing, state, per_visit) = np.full(model.n_states, np.inf), self.failures
+                np.minimum.at(charge, model.pair_state[tied], sign * mean)
+                charge[np.isinf(charge)] = 0.0  # nothing is charged there
+                gain = weight * per_visit * charge[state]
+                total = total + np.bincount(failing, gain, process.n_pairs)
+                constant += weight * float(self.begun_dead @ charge)
+            sides.append(sign * float(np.sign(self.scale)) * self.optima(total, constant))
+        return (sides[0], sides[1]) if np.isfinite(sides).all() else None
 
     @property
     def _charges_tie(self) -> bool:
         """Whether another action costs as much as the one that a failing run is charged."""
-        model, means = self.problem.model, {id(m): cost_means(m) for _, m in self.paid}
-        for _, costs, _, some in self.charged:
-            pair = int(np.searchsorted(model.outcome_offsets, some.start, side="right")) - 1
-            mean = means[id(costs)][model.pairs_of(int(model.pair_state[pair]))]
-            if (np.abs(mean - means[id(costs)][pair]) <= ROUNDING * (1.0 + mean.max())).sum() > 1:
+        for *_, tied in self.cheapest:
+            count = np.bincount(
+                self.problem.model.pair_state[tied], minlength=self.problem.model.n_states
+            )
+            if (count[self.failing_mass > 0.0] > 1).any():
                 return True
         return False
 
@@ -956,7 +997,7 @@ def _optimal_pairs(optimum: _Optimum) -> IntArray:
     A pair is charged if a failing run pays its cost.
     """
     column, outcome, _, _ = optimum.outcomes
-    charged = [np.arange(some.start, some.stop) for *_, some in optimum.charged]
+    charged = [some for *_, some in optimum.charged]
     used = np.concatenate([outcome[optimum.best[column]], *charged]).astype(np.int64)
     model = optimum.problem.model
     if (counting := optimum.counting_steps) is not None:

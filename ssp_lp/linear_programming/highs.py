@@ -30,6 +30,7 @@ _DOUBTED = (
 )
 _OPTIMAL = highspy.HighsModelStatus.kOptimal
 _BASIC, _NONBASIC = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kNonbasic
+_MAGNIFIED = 1e5  # factor of all bounds in the second run of ``solve_with_highs``
 _NUMBERED = "x"  # prefix of a column's number, with which its name begins
 ENDINGS = (".mps", ".lp", ".mps.gz", ".lp.gz")
 
@@ -39,7 +40,6 @@ _SHARP: HighsOptions = {
     "dual_feasibility_tolerance": 1e-10,
     "small_matrix_value": 1e-12,  # smaller entries are dropped; the least value allowed
 }
-_MAGNIFIED = 1e5  # factor of the bounds in a second run, whose tolerance of rows is so much smaller
 
 
 def solve_with_highs(
@@ -64,34 +64,29 @@ def solve_with_highs(
     Raises:
         SolverError: HiGHS refuses an option or the model.
     """
-    began, factor = time.perf_counter(), 1.0
+    began, places = time.perf_counter(), np.arange(len(program.lower), dtype=np.int32)
     solver = _solved_by_highs(program, backend, time_limit, basis)
-    answer = _answer(solver, backend)
+    answer, bounds = _answer(solver, backend), (program.lower, program.upper)
     if answer.basis is not None and solver.getModelStatus() == _OPTIMAL:
         solver.setOptionValue("solver", "simplex")
-        _limit_steps(solver, program)
-        every = np.arange(len(program.lower), dtype=np.int32)
-        bounds = _MAGNIFIED * program.lower, _MAGNIFIED * program.upper
-        solver.changeRowsBounds(every.size, every, *bounds)
+        solver.setOptionValue("simplex_iteration_limit", max(len(places), 1_000))
+        solver.changeRowsBounds(  # type: ignore[attr-defined]
+            places.size, places, *(_MAGNIFIED * each for each in bounds)
+        )
         run_highs(solver)
         if solver.getModelStatus() == _OPTIMAL:
-            answer, factor = _answer(solver, backend), _MAGNIFIED
-    return replace(answer, x=answer.x / factor, seconds=time.perf_counter() - began)
+            answer = _answer(solver, backend, _MAGNIFIED)
+    return replace(answer, seconds=time.perf_counter() - began)
 
 
-def _answer(solver: highspy.Highs, backend: str) -> LPAnswer:
-    """Return the solution, the status and the basis of a solver."""
+def _answer(solver: highspy.Highs, backend: str, factor: float = 1.0) -> LPAnswer:
+    """Return the solution of a program whose bounds were multiplied by a factor."""
     solution, last = solver.getSolution(), solver.getBasis()
-    x, dual = np.array(solution.col_value, float), np.array(solution.row_dual, float)
+    x, dual = np.array(solution.col_value, float) / factor, np.array(solution.row_dual, float)
     statuses = [*last.col_status, *last.row_status] if last.valid else []
     basis = np.array([each == _BASIC for each in statuses]) if statuses else None
     status = solver.modelStatusToString(solver.getModelStatus())
     return LPAnswer(backend, x, dual, status, 0.0, basis)
-
-
-def _limit_steps(solver: highspy.Highs, program: LinearProgram) -> None:
-    """Limit the simplex to the number of steps from which on a cold start is about as fast."""
-    solver.setOptionValue("simplex_iteration_limit", max(len(program.lower) // 2, 1_000))
 
 
 def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple[float, float]]:
@@ -131,7 +126,7 @@ def _solved_by_highs(
         options["time_limit"] = max(time_limit, 1e-3)
     solver = highs_solver(highs_lp(program), options)
     if basis is not None:
-        _limit_steps(solver, program)
+        solver.setOptionValue("simplex_iteration_limit", max(len(program.lower) // 2, 1_000))
         begun = highspy.HighsBasis()
         statuses = [_BASIC if each else _NONBASIC for each in basis.tolist()]
         n_columns = program.matrix.shape[1]
@@ -203,22 +198,18 @@ def run_highs(solver: highspy.Highs) -> None:
         KeyboardInterrupt: Ctrl-C was pressed.
     """
     solver.HandleUserInterrupt = True
-    if _run_beside(solver) == highspy.HighsStatus.kError:
+    for _ in range(2):
+        solver.startSolve()
+        try:
+            while not (ended := solver.wait(POLL))[0]:
+                pass
+        except KeyboardInterrupt:
+            solver.cancelSolve()  # type: ignore[no-untyped-call]
+            solver.wait()
+            raise
+        if ended[1] != highspy.HighsStatus.kError:
+            return
         solver.setOptionValue("threads", 0)
-        _run_beside(solver)
-
-
-def _run_beside(solver: highspy.Highs) -> highspy.HighsStatus | None:
-    """Run HiGHS in a separate thread and return its status."""
-    solver.startSolve()
-    try:
-        while not (ended := solver.wait(POLL))[0]:
-            pass
-    except KeyboardInterrupt:
-        solver.cancelSolve()  # type: ignore[no-untyped-call]
-        solver.wait()
-        raise
-    return ended[1]
 
 
 def highs_lp(program: LinearProgram) -> highspy.HighsLp:
