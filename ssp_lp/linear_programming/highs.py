@@ -64,15 +64,14 @@ def solve_with_highs(
     Raises:
         SolverError: HiGHS refuses an option or the model.
     """
-    began, places = time.perf_counter(), np.arange(len(program.lower), dtype=np.int32)
+    began, bounds = time.perf_counter(), np.stack([program.lower, program.upper])
     solver = _solved_by_highs(program, backend, time_limit, basis)
-    answer, bounds = _answer(solver, backend), (program.lower, program.upper)
+    answer = _answer(solver, backend)
     if answer.basis is not None and solver.getModelStatus() == _OPTIMAL:
         solver.setOptionValue("solver", "simplex")
-        solver.setOptionValue("simplex_iteration_limit", max(len(places), 1_000))
-        solver.changeRowsBounds(  # type: ignore[attr-defined]
-            places.size, places, *(_MAGNIFIED * each for each in bounds)
-        )
+        solver.setOptionValue("simplex_iteration_limit", bounds.size)
+        for row in np.flatnonzero(bounds.any(axis=0)).tolist():
+            solver.changeRowBounds(row, *(_MAGNIFIED * bounds[:, row]))
         run_highs(solver)
         if solver.getModelStatus() == _OPTIMAL:
             answer = _answer(solver, backend, _MAGNIFIED)
