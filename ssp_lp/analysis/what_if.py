@@ -32,6 +32,7 @@ from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
+import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, segment_minima, segment_sums
@@ -66,13 +67,12 @@ from ssp_lp.programs.occupation_measure import (
     shares_of_visits,
 )
 
-_STEP = 1e-5  # to the nearby numbers at which one-sided derivatives are evaluated
+_STEP, _FARTHEST = 1e-5, 1e3  # to the nearby numbers of one-sided derivatives; greatest step
 _AGREES = 1e-4  # relative difference of a one-sided derivative and of optima
 _ACCURACY = 1e-6  # relative: of breakpoints, and of worths of outcomes that make up a value
 _BEYOND = 1e-12  # probability of success beyond the last total that is distinguished
 _FIRST_CAP, _LAST_CAP = 16.0, 5000.0  # of distinguished totals, in greatest costs of a step
 _SHOWN = 15  # rows of the text
-_FARTHEST = 1e3  # greatest step of a number that may move without limit
 
 
 def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, float]:
@@ -435,53 +435,45 @@ class _Optimum:
         return np.bincount(outcome, often, model.n_outcomes).astype(np.float64)
 
     @cached_property
-    def failures(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Failures for which a run pays the cost of an action.
+    def failures(self) -> sp.csr_array:
+        """Failures for which a run pays the cost of an action, [pairs + 1, states].
 
-        Returns:
-            Column; state whose cheapest action is charged; and failures per visit of the column,
-            [failures] each.
+        For each visit of a column (last row: at the start) and each state whose cheapest action is
+        charged.
         """
         program, model = self.measure.program, self.problem.model
         quotient, (column, outcome, _, _) = program.augmented.quotient, self.outcomes
-        merged = quotient.merged if program.reduced is None else (
-            program.reduced.program.augmented.quotient.merged)  # fmt: skip
+        solved = program if program.reduced is None else program.reduced.program
         gives_up, to = np.flatnonzero(program.augmented.gives_up), model.successors[outcome]
         acting = quotient.first_states[quotient.pair_node[program.augmented.part.pairs[gives_up]]]
-        ends, quits = quotient.dead[to], ~merged[acting]
-        lost = survival_of(self.problem.discount) * model.probabilities[outcome[ends]]
-        columns = np.concatenate([column[ends], gives_up[quits]])
-        states = np.concatenate([to[ends], acting[quits]])
-        return columns, states, np.append(lost, np.ones(quits.sum()))
-
-    @property
-    def begun_dead(self) -> FloatArray:
-        """Start mass of each dead-end, [states]."""
-        return self.problem.start_mass * self.measure.program.augmented.quotient.dead
+        lost = survival_of(self.problem.discount) * model.probabilities[outcome] * quotient.dead[to]
+        begun = self.problem.start_mass * quotient.dead
+        last = np.full(model.n_states, program.process.n_pairs)
+        mass = np.concatenate([lost, ~solved.augmented.quotient.merged[acting], begun])
+        columns = np.concatenate([column, gives_up, last])
+        states = np.concatenate([to, acting, np.arange(model.n_states)])
+        return sp.csr_array((mass, (columns, states)), (last[0] + 1, model.n_states))
 
     @cached_property
     def failing_mass(self) -> FloatArray:
         """Probability of a failure for which an action of each state is charged, [states]."""
-        column, state, per_visit = self.failures
-        failing = per_visit * self.measure.visits[column]
-        return self.begun_dead + np.bincount(state, failing, self.begun_dead.size)
+        return np.asarray(np.append(self.measure.visits, 1.0) @ self.failures)
 
     @cached_property
-    def cheapest(self) -> list[tuple[float, SSP, IntArray]]:
+    def cheapest(self) -> list[tuple[float, SSP, BoolArray]]:
         """Cheapest actions of each state, one of which a run pays when it fails there.
 
-        For each cost the weight, a model whose own cost it is, and pairs of the model.
+        For each cost the weight, a model whose own cost it is, and a mask of the model's pairs.
         """
         model, semantics = self.problem.model, self.problem.semantics
         home, dead = model.pair_state, self.measure.program.augmented.quotient.dead
         stays = attention_pairs(model, attention_states(model)) | dead[home]
         stays |= semantics.give_up is GiveUp.ANYWHERE
-        cheapest = list[tuple[float, SSP, IntArray]]()
+        cheapest = list[tuple[float, SSP, BoolArray]]()
         for weight, costs in self.paid if semantics.charge_failing_step else ():
             mean = np.where(stays, cost_means(costs), np.inf)
             least = segment_minima(mean, model.pair_offsets)[home]
-            tied = stays & (mean <= least + ROUNDING * (1.0 + least))
-            cheapest.append((weight, costs, np.flatnonzero(tied)))
+            cheapest.append((weight, costs, stays & (mean <= least + ROUNDING * (1.0 + least))))
         return cheapest
 
     @cached_property
@@ -493,8 +485,9 @@ class _Optimum:
         """
         model, charges = self.problem.model, list[tuple[float, SSP, FloatArray, IntArray]]()
         for weight, costs, tied in self.cheapest:
-            tied = tied[self.failing_mass[model.pair_state[tied]] > 0.0]
-            state, (some, counts) = model.pair_state[tied], entries_of(model.outcome_offsets, tied)
+            pairs = np.flatnonzero(tied & (self.failing_mass > 0.0)[model.pair_state])
+            some, counts = entries_of(model.outcome_offsets, pairs)
+            state = model.pair_state[pairs]
             mass = np.where(np.diff(state, prepend=-1) > 0, self.failing_mass[state], 0.0)
             charges.append((weight, costs, np.repeat(mass, counts), some))
         return charges
@@ -569,7 +562,7 @@ class _Optimum:
         """
         unused = (self.best & (self.measure.visits <= ROUNDING)).any()
         alone = self.has_one_price and self._priced == {*self.tight} and not unused
-        return alone and not self._charges_tie
+        return alone and all((mass > 0.0).all() for _, _, mass, _ in self.charged)
 
     @property
     def _priced(self) -> set[str]:
@@ -593,12 +586,12 @@ class _Optimum:
         return int(used.sum()) - visited == len(self.tight)
 
     @cached_property
-    def optima(self) -> Callable[[FloatArray, float], float] | None:
+    def optima(self) -> Callable[[FloatArray], float] | None:
         """Function that minimises a linear function of the visits over all optimal lotteries.
 
-        Its arguments are the coefficients, [pairs], and a constant. It returns the least value, nan
-        if there is none. In case S the value is divided by the goal probability. None instead of
-        the function: several prices may be optimal.
+        Its argument has the coefficients and the constant, [pairs + 1]. It returns the least value,
+        nan if there is none. In case S the value is divided by the goal probability. None instead
+        of the function: several prices may be optimal.
         """
         if not self.has_one_price:
             return None
@@ -609,14 +602,13 @@ class _Optimum:
         room = ROUNDING * (1.0 + np.abs(self.duals.states))  # a far price may be huge
         np.maximum.at(room, home[used], 2.0 * above[used])  # of used columns it is rounding
         best = used | (above <= room[home])
-        columns = np.flatnonzero(np.append(best, [True] * program.ratio))
+        columns = np.flatnonzero(np.append(best, program.ratio))
         lower, matrix = np.array(linear.lower), linear.matrix[:, columns]
         for place in (linear.rows[name] for name in self._priced):
             lower[place] = linear.upper[place]
         least = minimiser(replace(linear, cost=np.zeros(columns.size), matrix=matrix, lower=lower))
-        if program.ratio:  # the last column is the factor by which all visits are multiplied
-            return lambda per, fixed: least(np.append(per, fixed)[columns])
-        return lambda per, fixed: least(per[columns]) + fixed
+        # in case S the last column is the factor by which all visits are multiplied
+        return lambda taken: least(taken[columns]) + (0.0 if program.ratio else taken[-1])
 
     @property
     def beyond_by_others(self) -> float:
@@ -629,7 +621,7 @@ class _Optimum:
         if self.is_unique or self.optima is None:
             return 0.0
         is_last = own.part.pairs // own.width == own.copies - 1
-        return -self.optima(np.where(is_last, -program.process.goal, 0.0), 0.0)
+        return -self.optima(np.append(np.where(is_last, -program.process.goal, 0.0), 0.0))
 
     def sides(self, change: Change) -> tuple[float, float] | None:
         """Return the derivatives to the left and right in a direction if the prices are unique.
@@ -669,28 +661,13 @@ class _Optimum:
             return None
         sides = list[float]()
         for sign in (-1.0, 1.0):
-            total, constant = sign * per, sign * fixed
+            taken = sign * np.append(per, fixed)
             for (weight, costs, tied), moves in zip(self.cheapest, own, strict=False):
-                mean = segment_sums(rises * costs.costs + moves, model.outcome_offsets)[tied]
-                charge, (failing, state, per_visit) = np.full(model.n_states, np.inf), self.failures
-                np.minimum.at(charge, model.pair_state[tied], sign * mean)
-                charge[np.isinf(charge)] = 0.0  # nothing is charged there
-                gain = weight * per_visit * charge[state]
-                total = total + np.bincount(failing, gain, process.n_pairs)
-                constant += weight * float(self.begun_dead @ charge)
-            sides.append(sign * float(np.sign(self.scale)) * self.optima(total, constant))
+                mean = segment_sums(rises * costs.costs + moves, model.outcome_offsets)
+                charge = segment_minima(np.where(tied, sign * mean, np.inf), model.pair_offsets)
+                taken += weight * (self.failures @ np.where(np.isfinite(charge), charge, 0.0))
+            sides.append(sign * float(np.sign(self.scale)) * self.optima(taken))
         return (sides[0], sides[1]) if np.isfinite(sides).all() else None
-
-    @property
-    def _charges_tie(self) -> bool:
-        """Whether another action costs as much as the one that a failing run is charged."""
-        for *_, tied in self.cheapest:
-            count = np.bincount(
-                self.problem.model.pair_state[tied], minlength=self.problem.model.n_states
-            )
-            if (count[self.failing_mass > 0.0] > 1).any():
-                return True
-        return False
 
 
 def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> OccupationMeasure:

@@ -22,13 +22,7 @@ from ssp_lp.linear_programming.linear_program import POLL, LinearProgram, LPAnsw
 
 HighsOptions = dict[str, bool | int | float | str]
 
-_DOUBTED = (
-    highspy.HighsModelStatus.kUnbounded,
-    highspy.HighsModelStatus.kUnboundedOrInfeasible,
-    highspy.HighsModelStatus.kUnknown,
-    highspy.HighsModelStatus.kInfeasible,
-)
-_OPTIMAL = highspy.HighsModelStatus.kOptimal
+_OPTIMAL, _LATE = highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kTimeLimit
 _BASIC, _NONBASIC = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kNonbasic
 _MAGNIFIED = 1e5  # factor of all bounds in the second run of ``solve_with_highs``
 _NUMBERED = "x"  # prefix of a column's number, with which its name begins
@@ -82,8 +76,8 @@ def _answer(solver: highspy.Highs, backend: str, factor: float = 1.0) -> LPAnswe
     """Return the solution of a program whose bounds were multiplied by a factor."""
     solution, last = solver.getSolution(), solver.getBasis()
     x, dual = np.array(solution.col_value, float) / factor, np.array(solution.row_dual, float)
-    statuses = [*last.col_status, *last.row_status] if last.valid else []
-    basis = np.array([each == _BASIC for each in statuses]) if statuses else None
+    statuses = [each == _BASIC for each in (*last.col_status, *last.row_status)]
+    basis = np.array(statuses) if last.valid and statuses else None
     status = solver.modelStatusToString(solver.getModelStatus())
     return LPAnswer(backend, x, dual, status, 0.0, basis)
 
@@ -134,7 +128,7 @@ def _solved_by_highs(
         solver.setBasis(begun)  # if refused, HiGHS starts without one
     run_highs(solver)
     status, broken = solver.getModelStatus(), solver.getInfo().max_primal_infeasibility
-    is_doubted = broken > RESIDUAL if status == _OPTIMAL else status in _DOUBTED
+    is_doubted = broken > RESIDUAL if status == _OPTIMAL else status != _LATE
     if basis is None and is_doubted:
         solver.setOptionValue("presolve", "off")
         solver.clearSolver()
