@@ -221,7 +221,7 @@ class _Optimum:
         while cap <= last:
             measure = _vertex_in_time(solved.with_arguments(cost_cap=cap), begun)
             optimum = cls(solved, measure, cap)
-            if measure.beyond <= _BEYOND and optimum.beyond_by_others <= ROUNDING:
+            if measure.beyond <= _BEYOND and not optimum.beyond_by_others > ROUNDING:  # or nan
                 return optimum
             cap *= 2.0
         raise SolverError("too many total costs given success for derivatives: round the costs")

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import gzip
 import re
-import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from shutil import copyfileobj
@@ -58,9 +56,8 @@ def solve_with_highs(
     Raises:
         SolverError: HiGHS refuses an option or the model.
     """
-    began, bounds = time.perf_counter(), np.stack([program.lower, program.upper])
     solver = _solved_by_highs(program, backend, time_limit, basis)
-    answer = _answer(solver, backend)
+    answer, bounds = _answer(solver, backend), np.stack([program.lower, program.upper])
     if answer.basis is not None and solver.getModelStatus() == _OPTIMAL:
         solver.setOptionValue("solver", "simplex")
         solver.setOptionValue("simplex_iteration_limit", bounds.size)
@@ -69,7 +66,7 @@ def solve_with_highs(
         run_highs(solver)
         if solver.getModelStatus() == _OPTIMAL:
             answer = _answer(solver, backend, _MAGNIFIED)
-    return replace(answer, seconds=time.perf_counter() - began)
+    return answer
 
 
 def _answer(solver: highspy.Highs, backend: str, factor: float = 1.0) -> LPAnswer:
@@ -79,7 +76,7 @@ def _answer(solver: highspy.Highs, backend: str, factor: float = 1.0) -> LPAnswe
     statuses = [each == _BASIC for each in (*last.col_status, *last.row_status)]
     basis = np.array(statuses) if last.valid and statuses else None
     status = solver.modelStatusToString(solver.getModelStatus())
-    return LPAnswer(backend, x, dual, status, 0.0, basis)
+    return LPAnswer(backend, x, dual, status, solver.getRunTime(), basis)
 
 
 def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple[float, float]]:
@@ -151,6 +148,7 @@ def minimiser(program: LinearProgram) -> Callable[[FloatArray], float]:
             run_highs(solver)
             if solver.getModelStatus() == _OPTIMAL:
                 return float(cost @ solver.getSolution().col_value)
+            solver.setOptionValue("presolve", "off")
             solver.clearSolver()  # the last basis may be a bad beginning
         return float("nan")
 
