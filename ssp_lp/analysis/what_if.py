@@ -80,6 +80,11 @@ def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, fl
     return {key: one.get(key, 0.0) + other.get(key, 0.0) for key in (*one, *other)}
 
 
+def _opens(numbers: FloatArray, slopes: Mapping[int, float]) -> bool:
+    """Return whether a number that is 0 rises."""
+    return any(slope > 0.0 == numbers[place] for place, slope in slopes.items())
+
+
 @dataclass(frozen=True, eq=False)
 class Change:
     """A direction in which numbers of a problem move: how much each changes per unit of a step."""
@@ -547,9 +552,7 @@ class _Optimum:
     def support(self) -> frozenset[Hashable]:
         """Columns (pairs) that the lottery uses, as numbers, and names of rows with a price."""
         pairs = self.measure.program.augmented.part.pairs[self.measure.visits > ROUNDING]
-        return frozenset(pairs.tolist()) | {
-            n for n, y in self.measure.prices.items() if y > ROUNDING
-        }
+        return frozenset(pairs.tolist()) | self._priced
 
     @cached_property
     def is_unique(self) -> bool:
@@ -632,12 +635,8 @@ class _Optimum:
         (column, outcome, _, worth), counting = self.outcomes, self.counting_steps
         model, process = self.problem.model, self.measure.program.process
         given = (model if counting is None else counting.original).probabilities
-        if self.optima is None or any(
-            slope > 0.0 and known[place] == 0.0
-            for known, slopes_of in ((given, change.probabilities),
-                                     (self.problem.start_mass, change.start))
-            for place, slope in slopes_of.items()
-        ):  # fmt: skip
+        opens = _opens(given, change.probabilities) or _opens(self.problem.start_mass, change.start)
+        if self.optima is None or opens:
             return None
 
         def slopes(of: Mapping[int, float]) -> FloatArray:
@@ -758,7 +757,7 @@ class WhatIf(Report):
             if (measure.visits[acting] > ROUNDING).any():
                 return "two actions are equally safe: after a change only the safer one is allowed"
         costs = model.costs_by_name
-        rises = any(s > 0.0 == model.probabilities[k] for k, s in change.probabilities.items())
+        rises = _opens(model.probabilities, change.probabilities)
         rises |= any(s > 0.0 == costs[name][k] for (name, k), s in change.costs.items())
         if rises:
             step = min(_STEP, change.most(problem, 1.0) / 2.0)
@@ -914,18 +913,12 @@ def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None)
     for number in numbers:
         if (key := by(number)) is not None:
             groups.setdefault(key, []).append(number)
-    return [
-        Number("group", str(key), _common_value(some), sum((n.change for n in some), Change()))
-        if len(some) > 1
-        else replace(some[0], name=str(key))
-        for key, some in groups.items()
-    ]
-
-
-def _common_value(numbers: list[Number]) -> float | None:
-    """Return the value of the numbers if they are all equal, or None."""
-    values = {number.value for number in numbers}
-    return values.pop() if len(values) == 1 else None
+    grouped = list[Number]()
+    for key, some in groups.items():
+        values, change = {n.value for n in some}, sum((n.change for n in some), Change())
+        together = Number("group", str(key), values.pop() if len(values) == 1 else None, change)
+        grouped.append(together if len(some) > 1 else replace(some[0], name=str(key)))
+    return grouped
 
 
 def _check_criterion(problem: Problem) -> None:
