@@ -148,8 +148,7 @@ class OccupationMeasure:
         augmented = self.program.augmented
         if augmented.copies == 1:
             return 0.0
-        ends = np.array([augmented.copies - 1, augmented.copies]) * augmented.width
-        last = slice(*np.searchsorted(augmented.part.pairs, ends))
+        last = augmented.part.pairs // augmented.width == augmented.copies - 1
         return float(self.program.process.goal[last] @ self.visits[last])
 
     @property
