@@ -21,7 +21,6 @@ from ssp_lp.model.graph import (
     dead_ends,
     end_components,
     end_marks,
-    pairs_into,
     reaching_states,
     surely_ending,
 )
@@ -123,7 +122,7 @@ class FailureSSP(ProductSSP):
         """
         over = self.ended | self.goal_mask | self.stops
         over[self.pair_state[self._staying]] = True
-        return surely_ending(self, over, pairs_into(self, over), ~reaching_states(self, over))[:2]
+        return surely_ending(self, over, ~reaching_states(self, over))[:2]
 
     @cached_property
     def _staying(self) -> BoolArray:
