@@ -216,18 +216,15 @@ def label_failing(
     names = model.action_names
     own = model.pair_action[original_pair].astype(np.int64)
     label, original_state = (read_only(part) for part in np.divmod(np.arange(2 * n), n))
-    parts = copied_parts(model, original_pair, outcome) | {
+    pair_offsets = offsets_of(np.bincount(state[original_pair] + n * after, minlength=2 * n))
+    graph = pair_offsets, offsets_of(lengths), model.successors[outcome] + n * failed
+    parts = copied_parts(model, *graph, original_pair, outcome) | {
         "action_names": (*names, *((GIVING_UP, name) for name in names)),
         "pair_action": read_only(own + len(names) * gives_up),
     }
     return FailureSSP(
         **parts,
         states=ProductStates(model.states, (BEFORE, AFTER), original_state, label),
-        pair_offsets=read_only(
-            offsets_of(np.bincount(state[original_pair] + n * after, minlength=2 * n))
-        ),
-        outcome_offsets=read_only(offsets_of(lengths)),
-        successors=read_only(model.successors[outcome] + n * failed, np.int32),
         goal_mask=read_only(np.append(model.goal_mask, np.zeros(n, dtype=np.bool_))),
         state_labels={
             name: read_only(np.append(members, members + n))

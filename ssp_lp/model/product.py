@@ -27,6 +27,7 @@ from ssp_lp.arrays import (
     segment_ids,
     sorted_unique,
 )
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, wrong_argument
 from ssp_lp.model.arguments import check_fields, explained, explained_class
@@ -298,15 +299,28 @@ class ProductSSP(SSP):
         return place if place >= 0 else None
 
 
-def copied_parts(model: SSP, pairs: IntArray, outcomes: IntArray) -> dict[str, Any]:
-    """Return the fields of a product that are copies of the model's.
+def copied_parts(
+    model: SSP,
+    pair_offsets: IntArray,
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    pairs: IntArray,
+    outcomes: IntArray,
+) -> dict[str, Any]:
+    """Return the graph of a product, with the fields that are copies of the model's.
 
     Args:
         model: the model.
+        pair_offsets: of the product, like the next two.
+        outcome_offsets: of the product.
+        successors: of the product.
         pairs: the model's pair of each pair of the product, [product pairs].
         outcomes: the model's outcome of each outcome of the product, [product outcomes].
     """
     return {
+        "pair_offsets": read_only(pair_offsets),
+        "outcome_offsets": read_only(outcome_offsets),
+        "successors": read_only(successors, np.int32),
         "action_names": model.action_names,
         "pair_action": read_only(model.pair_action[pairs]),
         "probabilities": read_only(model.probabilities[outcomes]),
@@ -451,11 +465,8 @@ def unfold(
     state, number, goes_on, outcomes, target = map(np.concatenate, zip(*rounds, strict=True))
     actions = np.diff(model.pair_offsets)[state] * goes_on
     pairs = concatenated_ranges(model.pair_offsets[state], actions)
-    fields = copied_parts(model, pairs, outcomes) | {
-        "pair_offsets": read_only(offsets_of(actions)),
-        "outcome_offsets": read_only(offsets_of(np.diff(offsets)[pairs])),
-        "successors": read_only(places[target]),
-    }
+    bounds = offsets_of(actions), offsets_of(np.diff(offsets)[pairs])
+    fields = copied_parts(model, *bounds, places[target], pairs, outcomes)
     return state.astype(np.int64), number, fields
 
 
@@ -572,6 +583,29 @@ def within_steps(
     return horizon
 
 
+@with_twin
+def _unrolled(model: SSP, steps: int, begin: IntArray) -> tuple[IntArray, IntArray, dict[str, Any]]:
+    """Return what :func:`unfold` does for a memory that counts steps; steps + 1: out of time."""
+    acting = np.diff(model.pair_offsets) > 0
+    if accelerated(steps * model.n_outcomes, "graphs.find_layers", "graphs.fill_layers"):
+        from ssp_lp.compiled.graphs import unroll
+
+        graph = model.pair_offsets, model.outcome_offsets, model.successors, model.probabilities
+        state, layers, parts = unroll(graph, sorted_unique(begin), steps)
+        count, last = np.arange(steps + 1).repeat(np.diff(layers)), layers[-2]
+        count[last:] += acting[state[last:]]
+        return state, count, copied_parts(model, *parts)
+
+    def after(before: IntArray, outcomes: IntArray) -> IntArray:
+        """Return the numbers of steps after outcomes, [entries]."""
+        if not (before == steps - 1).any():
+            return before + 1
+        return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round
+
+    first = begin, np.zeros_like(begin)
+    return unfold(model, first, after, lambda states, counts: counts >= steps)
+
+
 def unroll_steps(
     model: SSP, steps: int, begin: Sequence[int] | None, survive: tuple[str, ...] | None = None
 ) -> HorizonSSP:
@@ -587,24 +621,15 @@ def unroll_steps(
     Raises:
         ModelError: states times steps are too many.
     """
-    steps, acting = int(steps), np.diff(model.pair_offsets) > 0
+    steps = int(steps)
     if (steps + 2) * model.n_states > MOST_PLACES:
         raise ModelError(
             f"{steps:,} steps on {model.n_states:,} states are too many: take ",
             Argument("horizon", None),
             ", or make the model smaller",
         )
-
-    def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the numbers of steps after outcomes, [entries]; steps + 1: late, out of time."""
-        if not (before == steps - 1).any():
-            return before + 1
-        return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round
-
     first = np.array(range(model.n_states) if begin is None else begin, dtype=np.int64)
-    state, count, fields = unfold(
-        model, (first, np.zeros_like(first)), after, lambda states, counts: counts >= steps
-    )
+    state, count, fields = _unrolled(model, steps, first)
     over, late = count > steps, dict[str, BoolArray]()
     if survive is None:  # label states from which the goal is too many steps away
         nearer, needed = goal_approach(model)
