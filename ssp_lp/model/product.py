@@ -31,7 +31,7 @@ from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, wrong_argument
 from ssp_lp.model.arguments import check_fields, explained, explained_class
-from ssp_lp.model.graph import dead_ends, goal_approach
+from ssp_lp.model.graph import goal_approach
 from ssp_lp.model.ssp import SSP, check_hashable, check_model, no_lone_string
 
 MOST_PLACES: Final = 250_000_000  # states times steps or memories: four bytes each in numbering
@@ -607,7 +607,12 @@ def _unrolled(model: SSP, steps: int, begin: IntArray) -> tuple[IntArray, IntArr
 
 
 def unroll_steps(
-    model: SSP, steps: int, begin: Sequence[int] | None, survive: tuple[str, ...] | None = None
+    model: SSP,
+    steps: int,
+    begin: Sequence[int] | None,
+    survive: tuple[str, ...] | None = None,
+    *,
+    is_hidden: bool = False,
 ) -> HorizonSSP:
     """Return the model of :func:`within_steps`, without checking that a goal can be reached.
 
@@ -617,6 +622,7 @@ def unroll_steps(
         begin: states in which episodes may begin; None: all.
         survive: labels of states in which an episode fails, if taking all steps is success; None:
             taking all steps is failure.
+        is_hidden: whether the user's problem has another model.
 
     Raises:
         ModelError: states times steps are too many.
@@ -630,22 +636,23 @@ def unroll_steps(
         )
     first = np.array(range(model.n_states) if begin is None else begin, dtype=np.int64)
     state, count, fields = _unrolled(model, steps, first)
-    over, late = count > steps, dict[str, BoolArray]()
+    goal, late = model.goal_mask[state], dict[str, BoolArray]()
     if survive is None:  # label states from which the goal is too many steps away
         nearer, needed = goal_approach(model)
-        needed = np.where((nearer >= 0) | model.goal_mask, needed, steps + 1)
-        late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - count
-    lost = np.concatenate([[], *(model.state_labels[name] for name in survive or ())])
-    survived = over & ~np.isin(state, lost) & (survive is not None)
+        late[LATE] = np.where(nearer >= 0, needed, -1)[state] > steps - count
+    else:
+        lost = np.concatenate([[], *(model.state_labels[name] for name in survive)])
+        goal |= (count > steps) & ~np.isin(state, lost)
     number = read_only(count, least_integer_type(steps + 1))
     check_time()
     horizon = HorizonSSP(
         **fields,
         states=ProductStates(model.states, (*range(steps + 1), LATE), read_only(state), number),
-        goal_mask=read_only(model.goal_mask[state] | survived),
+        goal_mask=read_only(goal),
         state_labels=labels_in_product(model, state, late),
         steps=steps,
         survive=survive,
+        is_hidden=is_hidden,
     )
     _BUILDING.info("%r", horizon)
     return horizon
