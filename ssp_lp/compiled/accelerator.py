@@ -154,7 +154,7 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
     @wraps(function)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         """Run the function, again for each loop that must not be compiled now."""
-        refused = set[str]()
+        refused: set[str] = set()
         while True:
             _frames.depth += 1
             try:

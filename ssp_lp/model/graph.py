@@ -233,14 +233,6 @@ def surely_ending(
             return kept, open_pairs, nearer
 
 
-@kept
-def goal_pairs(model: SSP) -> BoolArray:
-    """Return the pairs that may lead to a goal, [pairs]."""
-    before, leading = model.predecessors, np.zeros(model.n_pairs, dtype=np.bool_)
-    leading[before.pairs[entries_of(before.offsets, model.goal_mask.nonzero()[0])[0]]] = True
-    return leading
-
-
 def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
     """Return the pairs that may lead to one of the given states, [pairs].
 
