@@ -315,14 +315,12 @@ def _quotient_with_pairs(
     if merged.any():
         order = np.argsort(pair_node, kind="stable")
         pairs, pair_node = pairs[order], pair_node[order]
-    gives_up = np.zeros(n_nodes, dtype=np.int32)
-    gives_up[node_of[leaving]] = 1
-    counts = np.bincount(pair_node, minlength=n_nodes) + gives_up
+    counts = np.bincount(pair_node, minlength=n_nodes)
+    if leaving.any():  # giving up is first in its node, so that it wins ties
+        nodes = (np.bincount(node_of[leaving], minlength=n_nodes) > 0).nonzero()[0]
+        pairs = np.insert(pairs, offsets_of(counts)[nodes], GIVE_UP_CODE)
+        counts[nodes] += 1
     offsets = offsets_of(counts).astype(np.int32)
-    pair_at = np.full(int(offsets[-1]), GIVE_UP_CODE, dtype=np.int32)
-    acting = np.ones(len(pair_at), dtype=np.bool_)
-    acting[offsets[:-1][gives_up > 0]] = False  # first in its node, so that it wins ties
-    pair_at[acting] = pairs
     return Quotient(
         model=model,
         dead=dead,
@@ -330,7 +328,7 @@ def _quotient_with_pairs(
         n_nodes=n_nodes,
         inside=inside,
         merged=merged,
-        pair_at=pair_at,
+        pair_at=pairs,
         pair_node=segment_ids(offsets),
         pair_offsets=offsets,
     )
