@@ -128,7 +128,8 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
             with WithIncumbent():
                 bound = least_failure_bound(inner)
                 solution = replace(solution, least_failure_bound=bound)
-        if not problem.has_rows and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
+        is_alone = problem.counts_totals and not problem.has_rows
+        if is_alone and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
             with WithIncumbent():
                 solution = replace(solution, policy=giving_up_where_lost(solution.policy))
         if deadline.was_met:
@@ -152,6 +153,8 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
         strictest = max(demanding, key=lambda limit: limit.least_goal)
         notes.append(_redundant_budget(inner.failure_budget, strictest))
     note, status = "; ".join(filter(None, notes)), deadline.status(solution.gap, tolerance)
+    if (note, status) == (solution.note, solution.status):
+        return solution
     return replace(solution, note=note, status=status)
 
 

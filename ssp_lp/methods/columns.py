@@ -64,13 +64,12 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
 
     If ``options`` choose the full linear program, it is solved as well, as a check.
     """
-    compiled, aim = problem.compile(), problem.semantics.aim
-    start = compiled.facts.start
+    aim, start = problem.semantics.aim, problem.start_mass
     reach = extreme_goal_reach(problem.model, aim, start)
     objective, bound = float(expected(start, reach.goal)), float(expected(start, reach.bound))
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
     if options.program is not None:
-        process = compiled.explicit()
+        process = problem.compile().explicit()
         limits = {FAILURE_ROW: (process.failure, 1.0)}
         optimum = solve_program(process, limits, options, ratio=False)
         check_agreement(optimum, 1.0 - objective if greatest else objective)

@@ -117,19 +117,18 @@ class Quotient:
         leaving, inside = live & gives_up[self.node_of], np.zeros_like(self.inside)
         return _quotient_with_pairs(self.model, self.dead, node_of, inside, none, kept, leaving)
 
-    def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
-        """Return a pair of each node on a shortest way to one of given pairs, [nodes]; -1: no way.
+    def nearer_goal(self, usable: BoolArray | None = None) -> IntArray | None:
+        """Return a pair of each node on a shortest way to the goal, [nodes]; -1: no way.
 
         The result is None if components are merged, since their members differ in distance.
 
         Args:
-            leaving: the pairs to reach, [model pairs].
             usable: pairs that may be taken, [model pairs]; None: all.
         """
         if self.merged.any():
             return None
-        kept = (self.places >= 0) & (True if usable is None else usable)
-        return self.placed(nearer_pairs(self.model, leaving, kept))
+        kept = self.places >= 0 if usable is None else (self.places >= 0) & usable
+        return self.placed(nearer_pairs(self.model, None, kept, ends=self.model.goal_mask))
 
     def placed(self, decision: IntArray) -> IntArray:
         """Translate decisions on states to pairs of the quotient, [nodes]; -1: no pair.
@@ -265,7 +264,8 @@ def build_quotient(
         component, inside = end_components(model, free & usable)
     merged = component >= 0
     leaving = np.zeros(model.n_states, dtype=np.bool_) if exits is None else exits & live
-    leaving = leaving | (merged if free_exits else merged & hopeless_states(model))
+    if merged.any():
+        leaving = leaving | (merged if free_exits else merged & hopeless_states(model))
     check_time()
     node_of = _numbered_nodes(live, component)
     return _quotient_with_pairs(model, dead, node_of, inside, merged, usable & ~inside, leaving)
@@ -280,11 +280,9 @@ def _numbered_nodes(live: BoolArray, component: IntArray) -> IntArray:
         live: live states, [states].
         component: component of each state, negative for none, [states].
     """
-    group = np.where(component >= 0, component + live.size, np.arange(live.size))
-    first = np.arange(live.size)
-    members = (component >= 0).nonzero()[0]
+    first, members = np.arange(live.size), (component >= 0).nonzero()[0]
     if members.size:
-        _, begin, back = np.unique(group[members], return_index=True, return_inverse=True)
+        _, begin, back = np.unique(component[members], return_index=True, return_inverse=True)
         first[members] = members[begin[back]]
     heads = live & (first == np.arange(live.size))
     number = heads.cumsum(dtype=np.int32) - 1
@@ -317,14 +315,12 @@ def _quotient_with_pairs(
     if merged.any():
         order = np.argsort(pair_node, kind="stable")
         pairs, pair_node = pairs[order], pair_node[order]
-    gives_up = np.zeros(n_nodes, dtype=np.int32)
-    gives_up[node_of[leaving]] = 1
-    counts = np.bincount(pair_node, minlength=n_nodes) + gives_up
+    counts = np.bincount(pair_node, minlength=n_nodes)
+    if leaving.any():  # giving up is first in its node, so that it wins ties
+        nodes = (np.bincount(node_of[leaving], minlength=n_nodes) > 0).nonzero()[0]
+        pairs = np.insert(pairs, offsets_of(counts)[nodes], GIVE_UP_CODE)
+        counts[nodes] += 1
     offsets = offsets_of(counts).astype(np.int32)
-    pair_at = np.full(int(offsets[-1]), GIVE_UP_CODE, dtype=np.int32)
-    acting = np.ones(len(pair_at), dtype=np.bool_)
-    acting[offsets[:-1][gives_up > 0]] = False  # first in its node, so that it wins ties
-    pair_at[acting] = pairs
     return Quotient(
         model=model,
         dead=dead,
@@ -332,7 +328,7 @@ def _quotient_with_pairs(
         n_nodes=n_nodes,
         inside=inside,
         merged=merged,
-        pair_at=pair_at,
+        pair_at=pairs,
         pair_node=segment_ids(offsets),
         pair_offsets=offsets,
     )
