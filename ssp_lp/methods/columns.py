@@ -378,11 +378,11 @@ def _safest_optimum(
     """Return the policy of least failure, after a search that was stopped without any policy.
 
     Raises:
-        Stop: a policy of case M is known, which is a better answer; or there is no time to compute
-            the policy of least failure.
+        Stop: a policy of case M is known, or ``solve`` finds one sooner, which is a better answer;
+            or there is no time to compute the policy of least failure.
     """
-    if prepared() is not None:  # a better incumbent exists
-        raise Stop from stop
+    if prepared() is not None or compiled.charge is not None:
+        raise Stop(told=stop.told if isinstance(stop, Stop) else "") from stop
     with WithIncumbent(), closing():
         least = checked_least_failure(compiled, row.budget) if least is None else least
         options = SolveOptions(TRIAL_TOLERANCE)

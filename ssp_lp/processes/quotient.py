@@ -192,14 +192,26 @@ class Quotient:
             return places
         live, several = (self.node_of >= 0).nonzero()[0], max(CHUNK // max(len(offsets), 1), 1)
         nodes, own, last = self.node_of[live], self.pair_offsets[:-1], self.pair_offsets[1:] - 1
-        # the moves of a node's members depend on its pair alone
-        most = int(np.diff(self.pair_offsets).max(initial=1))
-        pairs = np.stack([self.pull_back(np.minimum(own + k, last)) for k in range(most)])
-        table = np.where(pairs < 0, pairs, pairs - offsets)[:, live].astype(places.dtype)
-        for begin in range(0, len(choice), several):
-            taken = (first + choice[begin : begin + several])[:, nodes] - own[nodes]
-            places[begin : begin + several, live] = table[taken, np.arange(len(live))]
+        shift, most = first - own, int(np.diff(self.pair_offsets).max(initial=1))
+        parts = [slice(begin, begin + several) for begin in range(0, len(choice), several)]
+        seen, table = np.zeros(most, np.bool_), np.empty((most, len(live)), places.dtype)
+        for some in parts:
+            seen[choice[some] + shift] = True
+        for k in seen.nonzero()[0].tolist():
+            if k not in self._moves:  # they depend on the nodes' pairs alone
+                pairs = self.pull_back(np.minimum(own + k, last))[live]
+                own_pairs = np.where(pairs < 0, pairs, pairs - offsets[live])
+                self._moves[k] = own_pairs.astype(places.dtype)
+            table[k] = self._moves[k]
+        for some in parts:
+            taken = choice[some][:, nodes] + shift[nodes]
+            places[some, live] = table[taken, np.arange(len(live))]
         return places
+
+    @cached_property
+    def _moves(self) -> dict[int, IntArray]:
+        """Cache: by k, the positions of the live states if each node takes its pair k, [live]."""
+        return {}
 
     def pull_back(self, choice: IntArray) -> IntArray:
         """Translate one chosen pair per node to decisions on states.
