@@ -100,7 +100,7 @@ def sweep(criterion: Callable[..., Problem], *given: Any, **named: Any) -> list[
         names = [*known, *(part.name for part in taken)]
         for name in (name for name in named if name not in names):
             told = did_you_mean(name, names, "there are")
-            raise ModelError(f"neither a parameter of the model nor an argument: {name!r}{told}")
+            raise ModelError(f"{name!r} is neither a parameter of the model nor an argument{told}")
     for chosen in combinations(*swept):
         arguments: dict[Any, Any] = dict(zip(labels, chosen, strict=True))
         moved = {name: arguments.pop(name) for name in labels if name in known}
@@ -260,7 +260,7 @@ def solve_many(
     options_of(parse_method(method), tolerance, began, time_limit, cast("Any", progress))
     left = deadline_of(total_time_limit, 0.0, "total_time_limit")
     if executor is not None and workers is not None:
-        raise ModelError("workers is the size of the built-in pool: leave out workers or executor")
+        raise ModelError("workers is the size of the built-in pool: leave out workers, or executor")
     if workers is not None:
         check_whole("workers", workers)
     from joblib import cpu_count

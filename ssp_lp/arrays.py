@@ -330,6 +330,9 @@ def segment_chunks(offsets: IntArray) -> Iterator[slice]:
         offsets: the entries of segment k are ``offsets[k] : offsets[k + 1]``, [segments + 1].
     """
     begin, n_segments = 0, len(offsets) - 1
+    if 0 < int(offsets[-1]) <= CHUNK:
+        yield slice(0, n_segments)
+        return
     while begin < n_segments:
         full = offsets.dtype.type(min(int(offsets[begin]) + CHUNK, int(offsets[-1])))
         last = int(np.searchsorted(offsets, full, side="right")) - 1

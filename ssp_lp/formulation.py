@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -231,21 +231,33 @@ class Formulation(Problem):
         """
         if self.tracked is not self:
             return self.tracked.unrolled
+        begin = self.start_mass.nonzero()[0]
         if self.horizon is not None:
-            start, begin = self.start_mass, np.flatnonzero(self.start_mass)
-            model = unroll_steps(self.model, self.horizon, begin.tolist())
-            model = replace(model, is_hidden=True)
-            places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
-            return self.with_arguments(model=model, start=places, horizon=None).unrolled
+            model = unroll_steps(self.model, self.horizon, begin.tolist(), is_hidden=True)
+            return self._on_product(model, np.arange(begin.size), horizon=None).unrolled
         if self.model.failure_label is not None:
             return self
         asked = self.conditions, self.objective_condition, self.semantics
         label = labelled_past_failing(self.model, *asked, ratio=self.ratio, discount=self.discount)
-        if label is None:
-            return self
-        begin = np.flatnonzero(self.start_mass)
-        places = {label.states[k]: float(self.start_mass[k]) for k in begin.tolist()}
-        return self.with_arguments(model=label, start=places)
+        return self if label is None else self._on_product(label, begin)
+
+    def _on_product(self, model: SSP, begin: IntArray, **changes: Any) -> Self:
+        """Return the formulation on a product, without checking its arguments again.
+
+        Args:
+            model: the product.
+            begin: its states that stand for the start states, in their order.
+            changes: other arguments that change.
+        """
+        moved, start_mass = object.__new__(type(self)), np.zeros(model.n_states)
+        start_mass[begin] = shares = self.start_mass[self.start_mass > 0.0]
+        start = zip(map(model.states.__getitem__, begin.tolist()), shares.tolist(), strict=True)
+        kept = self.__getstate__()
+        kept.pop("tracked", None)
+        moved.__setstate__(
+            {**kept, "model": model, "start": dict(start), "start_mass": start_mass, **changes}
+        )
+        return moved
 
     @cached_property
     def tracked(self) -> Self:
@@ -257,7 +269,6 @@ class Formulation(Problem):
         if not self.all_constraints and self.quantity is None:
             return self
         model, begin = self.model, cast("IntArray", np.flatnonzero(self.start_mass))
-        shares = self.start_mass[begin].tolist()
         for followed in followed_by(limit for _, limit in limits_of(self)):
             if followed_in(model, followed) is None:
                 automaton = followed.automaton(model)
@@ -269,10 +280,7 @@ class Formulation(Problem):
                                      "limits within(...) >= p and exceeds(...) <= p")  # fmt: skip
                 product = track(model, automaton, followed, begin)
                 model, begin = product, product.at(begin, product.first_memory(begin))
-        if model is self.model:
-            return self
-        places = [model.states[k] for k in begin.tolist()]
-        return self.with_arguments(model=model, start=dict(zip(places, shares, strict=True)))
+        return self if model is self.model else self._on_product(model, begin)
 
     @cached_property
     def objective_condition(self) -> Condition | None:

@@ -258,7 +258,7 @@ def _safest(problem: Problem, box: Boxes) -> _Pool:
         every = "policy of finite worst cost" if rank.any() else "policy"
         raise InfeasibleError(
             f"every {every} fails with probability {least:.6g} at some probabilities in the boxes, "
-            f"above the budget {budget:.6g}: raise it, or collect more counts",
+            f"above the budget {budget:.6g}: raise the budget, or collect more counts",
             failure_budget=budget,
             least_failure=least,
         )

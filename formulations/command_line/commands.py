@@ -196,7 +196,7 @@ def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
     for one in words.split(" + "):
         match = _TERM.fullmatch(one.strip())
         if match is None:
-            raise ModelError(f'"{words}" is not a sum of quantities: cost + 2 * visits(ward)')
+            raise ModelError(f'"{words}" is not a sum such as cost + 2 * visits(ward)')
         factor, word, states = match.groups()
         if word in _OF_STATES and states:
             is_label = states in of.model.state_labels
@@ -257,12 +257,12 @@ def with_property(asked: Asked) -> Asked:
     operators = _operators_in(words)
     objectives = [one for one in operators if one.relation.endswith("?")]
     if len(objectives) != 1:
-        raise ModelError(f"{words}: exactly one operator must ask =?, not {len(objectives)}")
+        raise ModelError(f"{words}: exactly one operator must have =?, not {len(objectives)}")
     (objective,) = objectives
     reaching = [one for one in operators if (one.measure, one.relation) == ("P", ">=")]
     goals = {one.target for one in (objective, *reaching) if one.target is not None}
     if len(goals) != 1:
-        raise ModelError(f"{words}: =? and P>= must name one goal, [F ...], not {sorted(goals)}")
+        raise ModelError(f"{words}: =? and P>= must have one goal [F ...], not {sorted(goals)}")
     if (objective.measure, objective.relation) not in {("P", "max=?"), ("R", "min=?")}:
         raise ModelError(f"{objective.words}: the objective must be Pmax=? or Rmin=?")
     (goal,) = goals
@@ -354,7 +354,7 @@ def picture(path: str | None) -> Iterator[Axes | None]:
     figure = module.Figure(figsize=(6.4, 4.2), layout="constrained")  # needs no screen
     formats = figure.canvas.get_supported_filetypes()
     if Path(path).suffix.removeprefix(".") not in formats:
-        raise ModelError(f"a picture is written as {', '.join(sorted(formats))}, not {path!r}")
+        raise ModelError(f"{path!r} must end in one of {', '.join(sorted(formats))}")
     yield figure.subplots()
     figure.savefig(path)
 
@@ -372,7 +372,7 @@ def _solve_command(asked: Asked) -> Iterable[str]:
     out = asked["policy_out"]
     write = None if out is None else _WRITERS.get(Path(out).suffix)
     if out is not None and write is None:  # before the solve
-        raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {out!r}")
+        raise ModelError(f"{out!r} must end in one of {', '.join(_WRITERS)}")
     search = {name: asked[name] for name in ("method", "tolerance", "time_limit")}
     if isinstance(budgets := asked.get("failure_budget"), list):
         return _several_answers(command_model(asked), budgets, search)

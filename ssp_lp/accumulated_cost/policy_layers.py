@@ -35,7 +35,7 @@ from ssp_lp.compiled.deadline import backward, check_time, pieces
 from ssp_lp.dynamic_programming.equations import System, strong_components
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states, dead_ends, goal_pairs, nearer_pairs, reached_along
+from ssp_lp.model.graph import attention_states, dead_ends, nearer_pairs, reached_along
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy
 from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, CostLayers, DeterministicPolicy, Policy
@@ -420,7 +420,7 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
     for number, tail in enumerate(layers.tails):
         followed = np.zeros(model.n_pairs, dtype=np.bool_)
         followed[tail[tail >= 0]] = True
-        nearer = nearer_pairs(model, goal_pairs(model), followed)
+        nearer = nearer_pairs(model, None, followed, ends=model.goal_mask)
         beyond[number] = model.goal_mask | (nearer >= 0)
     hopeful = np.empty((count + moves.room, model.n_states), dtype=np.bool_)
     hopeful[:count] = model.goal_mask

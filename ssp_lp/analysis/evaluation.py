@@ -173,6 +173,25 @@ def evaluate_each(
 
 
 @explained
+def success_figures(policy: Policy, problem: Problem) -> tuple[float, float, float]:
+    """Return E[cost; goal], the failure and the goal probability of a policy, nothing else.
+
+    All three are discounted if the problem has a discount.
+
+    Args:
+        policy: a policy on the problem's model.
+        problem: the problem, in which failing ends a run.
+    """
+    start, survival = problem.start_mass, _survivals(problem)[-1]
+    if (measures := layered_measures(policy, problem, start)) is not None:
+        goal, failure, cost = measures.totals[-1, :3].tolist()
+        return cost, failure, goal
+    chain = policy_chain(problem.model, policy, start)
+    _check_giving_up(chain, problem)
+    goal, failure, cost = (float(chain.start @ x) for x in _successes(chain, survival))
+    return cost, min(failure, 1.0), 1.0 if failure == 0.0 else min(goal, 1.0)
+
+
 def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
     """Return the law (distribution) of a policy's total cost on the runs that reach the goal.
 
@@ -356,18 +375,24 @@ def _chain_totals(
     """
     semantics, totals = problem.semantics, []
     _check_giving_up(chain, problem)
-    alive = chain.alive
-    ended = np.where(alive | (chain.goal > 0), 0.0, 1.0)
     for k, survival in enumerate(_survivals(problem)):
         entering, paid, lost = mass[:, 3 * k : 3 * k + 3].T
-        reached, cost = chain.arriving(survival)
-        leaks = (1.0 - survival) + survival * (chain.ahead(ended) + chain.give_up)
-        failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
+        reached, failed, cost = _successes(chain, survival)
         begins = entering + lost if semantics.give_up is GiveUp.DEAD_ENDS else entering
         stopped = _value_until_failure(chain, counted, semantics, survival, start=begins)
         success = entering @ cost + paid @ reached / survival
         totals.append([entering @ reached, entering @ failed, success, stopped])
     return np.array(totals)
+
+
+def _successes(chain: Chain, survival: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return goal probability, failure and E[cost; goal] from each node, [nodes] each."""
+    alive = chain.alive
+    ended = np.where(alive | (chain.goal > 0), 0.0, 1.0)
+    reached, cost = chain.arriving(survival)
+    leaks = (1.0 - survival) + survival * (chain.ahead(ended) + chain.give_up)
+    failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
+    return reached, failed, cost
 
 
 def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:

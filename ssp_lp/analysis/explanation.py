@@ -98,7 +98,7 @@ def explanation(
         some = [f"{label.state!r}{label.paid}" for label in labels.values()]
         there = " or ".join(dict.fromkeys(some[:3]))
         raise ModelError(
-            f"the solution has no single decision in {state!r} at cost {total}: choose {there}"
+            f"there are several decisions, or none, in {state!r} at cost {total}: ask for {there}"
         )
     names, weights, rewards = zip(*_counted_quantities(program, prices, ratio), strict=True)
     amounts = _following(values, np.stack(rewards))[:, columns]

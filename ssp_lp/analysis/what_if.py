@@ -33,9 +33,10 @@ from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
+import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.written_out import OpenEnded
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, segment_sums
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, segment_minima, segment_sums
 from ssp_lp.compiled.deadline import Stop, check_time, is_late, limited, seconds_left
 from ssp_lp.dynamic_programming.dynamics import leaving_choice
 from ssp_lp.errors import (
@@ -67,18 +68,22 @@ from ssp_lp.programs.occupation_measure import (
     shares_of_visits,
 )
 
-_STEP = 1e-5  # to the nearby numbers at which one-sided derivatives are evaluated
+_STEP, _FARTHEST = 1e-5, 1e3  # to the nearby numbers of one-sided derivatives; greatest step
 _AGREES = 1e-4  # relative difference of a one-sided derivative and of optima
 _ACCURACY = 1e-6  # relative: of breakpoints, and of worths of outcomes that make up a value
 _BEYOND = 1e-12  # probability of success beyond the last total that is distinguished
 _FIRST_CAP, _LAST_CAP = 16.0, 5000.0  # of distinguished totals, in greatest costs of a step
 _SHOWN = 15  # rows of the text
-_FARTHEST = 1e3  # greatest step of a number that may move without limit
 
 
 def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, float]:
     """Return the sum of two vectors given by their nonzero entries."""
     return {key: one.get(key, 0.0) + other.get(key, 0.0) for key in (*one, *other)}
+
+
+def _opens(numbers: FloatArray, slopes: Mapping[int, float]) -> bool:
+    """Return whether a number that is 0 rises."""
+    return any(slope > 0.0 == numbers[place] for place, slope in slopes.items())
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,8 +212,8 @@ class _Optimum:
     def of(cls, problem: Problem, cap: float = 0.0, near: _Optimum | None = None) -> _Optimum:
         """Solve the problem's program.
 
-        In case S the program distinguishes total costs up to a cap. The cap is doubled until hardly
-        any run succeeds beyond it.
+        In case S the program distinguishes total costs up to a cap. The cap is raised until no run
+        of an optimal lottery succeeds beyond it.
 
         Args:
             problem: the problem.
@@ -229,8 +234,9 @@ class _Optimum:
         cap = min(cap or first, last)
         while cap <= last:
             measure = _vertex_in_time(solved.with_arguments(cost_cap=cap), begun)
-            if measure.beyond <= _BEYOND:
-                return cls(solved, measure, cap)
+            optimum = cls(solved, measure, cap)
+            if measure.beyond <= _BEYOND and not optimum.beyond_by_others > ROUNDING:  # or nan
+                return optimum
             cap *= 2.0
         raise SolverError("too many total costs given success for derivatives: round the costs")
 
@@ -377,7 +383,7 @@ class _Optimum:
         wrong &= (copy < augmented.copies - 1) | (augmented.copies == 1)
         if wrong.any():
             label = self.measure.program.label(int(own[np.argmax(wrong)]))
-            raise ModelError(f"the value of {label} is too rough: compare two solves")
+            raise ModelError(f"the value of {label} is inaccurate: solve at two values and compare")
         return own[each], outcome, place, worth
 
     @cached_property
@@ -443,37 +449,61 @@ class _Optimum:
         return np.bincount(outcome, often, model.n_outcomes).astype(np.float64)
 
     @cached_property
-    def charged(self) -> list[tuple[float, SSP, float, slice]]:
-        """Actions whose cost a run is charged when it fails, for each cost in the Lagrangian.
+    def failures(self) -> sp.csr_array:
+        """Failures for which a run pays the cost of an action, [pairs + 1, states].
 
-        Returns:
-            For each action and cost: the weight of the cost, a model with this cost as its own
-            cost, the failing mass, and the range of the action's outcomes.
+        For each visit of a column (last row: at the start) and each state whose cheapest action is
+        charged.
         """
-        if not self.problem.semantics.charge_failing_step:
-            return []
         program, model = self.measure.program, self.problem.model
-        quotient, survival = program.augmented.quotient, survival_of(self.problem.discount)
-        column, outcome, _, _ = self.outcomes
-        often = survival * self.measure.visits[column] * model.probabilities[outcome]
-        lost = np.bincount(model.successors[outcome], often, model.n_states).astype(np.float64)
-        lost = lost * quotient.dead + self.problem.start_mass * quotient.dead
-        gives_up = np.flatnonzero(program.augmented.gives_up)
-        merged = quotient.merged if program.reduced is None else (
-            program.reduced.program.augmented.quotient.merged)  # fmt: skip
+        quotient, (column, outcome, _, _) = program.augmented.quotient, self.outcomes
+        solved = program if program.reduced is None else program.reduced.program
+        gives_up, to = np.flatnonzero(program.augmented.gives_up), model.successors[outcome]
         acting = quotient.first_states[quotient.pair_node[program.augmented.part.pairs[gives_up]]]
-        quitting = np.bincount(acting, self.measure.visits[gives_up], model.n_states) * ~merged
-        staying = attention_pairs(model, attention_states(model))
-        if self.problem.semantics.give_up is GiveUp.ANYWHERE:
-            staying = np.ones_like(staying)
-        charges = list[tuple[float, SSP, float, slice]]()
-        for state in np.flatnonzero(lost + quitting > 0.0).tolist():
-            pairs = np.array(model.pairs_of(state), dtype=np.int64)
-            pairs = pairs if quotient.dead[state] else pairs[staying[pairs]]
-            for weight, costs in self.paid if pairs.size else ():
-                pair = int(pairs[np.argmin(cost_means(costs)[pairs])])
-                some = slice(*map(int, model.outcome_offsets[pair : pair + 2]))
-                charges.append((weight, costs, float(lost[state] + quitting[state]), some))
+        lost = survival_of(self.problem.discount) * model.probabilities[outcome] * quotient.dead[to]
+        begun = self.problem.start_mass * quotient.dead
+        last = np.full(model.n_states, program.process.n_pairs)
+        mass = np.concatenate([lost, ~solved.augmented.quotient.merged[acting], begun])
+        columns = np.concatenate([column, gives_up, last])
+        states = np.concatenate([to, acting, np.arange(model.n_states)])
+        return sp.csr_array((mass, (columns, states)), (last[0] + 1, model.n_states))
+
+    @cached_property
+    def failing_mass(self) -> FloatArray:
+        """Probability of a failure for which an action of each state is charged, [states]."""
+        return np.asarray(np.append(self.measure.visits, 1.0) @ self.failures)
+
+    @cached_property
+    def cheapest(self) -> list[tuple[float, SSP, BoolArray]]:
+        """Cheapest actions of each state, one of which a run pays when it fails there.
+
+        For each cost the weight, a model whose own cost it is, and a mask of the model's pairs.
+        """
+        model, semantics = self.problem.model, self.problem.semantics
+        home, dead = model.pair_state, self.measure.program.augmented.quotient.dead
+        stays = attention_pairs(model, attention_states(model)) | dead[home]
+        stays |= semantics.give_up is GiveUp.ANYWHERE
+        cheapest = list[tuple[float, SSP, BoolArray]]()
+        for weight, costs in self.paid if semantics.charge_failing_step else ():
+            mean = np.where(stays, cost_means(costs), np.inf)
+            least = segment_minima(mean, model.pair_offsets)[home]
+            cheapest.append((weight, costs, stays & (mean <= least + ROUNDING * (1.0 + least))))
+        return cheapest
+
+    @cached_property
+    def charged(self) -> list[tuple[float, SSP, FloatArray, IntArray]]:
+        """Outcomes of the actions whose cost runs may pay when they fail.
+
+        For each cost the weight, a model whose own cost it is, the probability of the failure (0
+        for all but the first of equally cheap actions), and the outcomes.
+        """
+        model, charges = self.problem.model, list[tuple[float, SSP, FloatArray, IntArray]]()
+        for weight, costs, tied in self.cheapest:
+            pairs = np.flatnonzero(tied & (self.failing_mass > 0.0)[model.pair_state])
+            some, counts = entries_of(model.outcome_offsets, pairs)
+            state = model.pair_state[pairs]
+            mass = np.where(np.diff(state, prepend=-1) > 0, self.failing_mass[state], 0.0)
+            charges.append((weight, costs, np.repeat(mass, counts), some))
         return charges
 
     @cached_property
@@ -531,9 +561,7 @@ class _Optimum:
     def support(self) -> frozenset[Hashable]:
         """Indices of the columns (pairs) that the lottery uses, and names of rows with a price."""
         pairs = self.measure.program.augmented.part.pairs[self.measure.visits > ROUNDING]
-        return frozenset(pairs.tolist()) | {
-            n for n, y in self.measure.prices.items() if y > ROUNDING
-        }
+        return frozenset(pairs.tolist()) | self._priced
 
     @cached_property
     def is_unique(self) -> bool:
@@ -549,7 +577,7 @@ class _Optimum:
         """
         unused = (self.best & (self.measure.visits <= ROUNDING)).any()
         alone = self.has_one_price and self._priced == {*self.tight} and not unused
-        return alone and not self._charges_tie
+        return alone and all((mass > 0.0).all() for _, _, mass, _ in self.charged)
 
     @property
     def _priced(self) -> set[str]:
@@ -577,14 +605,14 @@ class _Optimum:
         return int(used.sum()) - visited == len(self.tight)
 
     @cached_property
-    def optima(self) -> Callable[[FloatArray, float], float] | None:
+    def optima(self) -> Callable[[FloatArray], float] | None:
         """Function that minimises a linear function of the visits over all optimal lotteries.
 
-        Its arguments are the coefficients, [pairs], and a constant. It returns the least value, in
-        case S divided by the goal probability; nan if there is none. The property is None if
-        several prices may be optimal, or if failing steps are charged.
+        Its argument has the coefficients and the constant, [pairs + 1]. It returns the least value,
+        in case S divided by the goal probability; nan if there is none. The property is None if
+        several prices may be optimal.
         """
-        if not self.has_one_price or self.problem.semantics.charge_failing_step:
+        if not self.has_one_price:
             return None
         from ssp_lp.linear_programming.highs import minimiser
 
@@ -593,14 +621,26 @@ class _Optimum:
         room = ROUNDING * (1.0 + np.abs(self.duals.states))  # a far price may be huge
         np.maximum.at(room, home[used], 2.0 * above[used])  # of used columns it is rounding
         best = used | (above <= room[home])
-        columns = np.flatnonzero(np.append(best, [True] * program.ratio))
+        columns = np.flatnonzero(np.append(best, program.ratio))
         lower, matrix = np.array(linear.lower), linear.matrix[:, columns]
         for place in (linear.rows[name] for name in self._priced):
             lower[place] = linear.upper[place]
         least = minimiser(replace(linear, cost=np.zeros(columns.size), matrix=matrix, lower=lower))
-        if program.ratio:  # the last column is the factor by which all visits are multiplied
-            return lambda per, fixed: least(np.append(per, fixed)[columns])
-        return lambda per, fixed: least(per[columns]) + fixed
+        # in case S the last column is the factor by which all visits are multiplied
+        return lambda taken: least(taken[columns]) + (0.0 if program.ratio else taken[-1])
+
+    @property
+    def beyond_by_others(self) -> float:
+        """Greatest probability of success beyond the cap by an optimal lottery, given success.
+
+        The program charges such successes too little. It is 0 if the lottery is the only optimal
+        one, or if the other ones are not compared.
+        """
+        program, own = self.measure.program, self.measure.program.augmented
+        if self.is_unique or self.optima is None:
+            return 0.0
+        is_last = own.part.pairs // own.width == own.copies - 1
+        return -self.optima(np.append(np.where(is_last, -program.process.goal, 0.0), 0.0))
 
     def sides(self, change: Change) -> tuple[float, float] | None:
         """Return the derivatives to the left and right in the direction of a change.
@@ -611,46 +651,38 @@ class _Optimum:
         (column, outcome, _, worth), counting = self.outcomes, self.counting_steps
         model, process = self.problem.model, self.measure.program.process
         given = (model if counting is None else counting.original).probabilities
-        if self.optima is None or any(
-            slope > 0.0 and known[place] == 0.0
-            for known, slopes_of in ((given, change.probabilities),
-                                     (self.problem.start_mass, change.start))
-            for place, slope in slopes_of.items()
-        ):  # fmt: skip
+        opens = _opens(given, change.probabilities) or _opens(self.problem.start_mass, change.start)
+        if self.optima is None or opens:
             return None
-        stated = outcome if counting is None else counting.original_outcome[outcome]
 
         def slopes(of: Mapping[int, float]) -> FloatArray:
-            each = np.zeros((model if counting is None else counting.original).n_outcomes)
+            """Return the change of each outcome's number, given changes of the user's model."""
+            each = np.zeros(given.size)
             each[list(of)] = list(of.values())
-            return np.asarray(each[stated])
+            return each if counting is None else np.asarray(each[counting.original_outcome])
 
-        rises = slopes(change.probabilities)
-        gain = np.where(rises == 0.0, 0.0, rises * worth)
+        rises, own = slopes(change.probabilities), list[FloatArray]()
+        gain = np.where(rises[outcome] == 0.0, 0.0, rises[outcome] * worth)
         for weight, costs in self.paid:
             name = self._name_of(costs)
-            own = {k: slope for (cost, k), slope in change.costs.items() if cost == name}
-            gain += weight * model.probabilities[outcome] * slopes(own)
+            moved = {k: slope for (cost, k), slope in change.costs.items() if cost == name}
+            own.append(model.probabilities * slopes(moved))
+            gain += weight * own[-1][outcome]
         per = np.bincount(column, gain, process.n_pairs) + change.bounds.get("penalty", 0.0) * (
             process.failure)  # fmt: skip
         bounds = {name: slope for name, slope in change.bounds.items() if name != "penalty"}
         fixed = self.along(Change(bounds=bounds, start=change.start)) / self.scale
         if not np.isfinite(per.sum() + fixed):
             return None
-        least, most = self.optima(per, fixed), -self.optima(-per, -fixed)
-        sign = float(np.sign(self.scale))
-        return (sign * most, sign * least) if np.isfinite(least + most) else None
-
-    @property
-    def _charges_tie(self) -> bool:
-        """Whether another action costs the same as an action whose cost a failing run pays."""
-        model, means = self.problem.model, {id(m): cost_means(m) for _, m in self.paid}
-        for _, costs, _, some in self.charged:
-            pair = int(np.searchsorted(model.outcome_offsets, some.start, side="right")) - 1
-            mean = means[id(costs)][model.pairs_of(int(model.pair_state[pair]))]
-            if (np.abs(mean - means[id(costs)][pair]) <= ROUNDING * (1.0 + mean.max())).sum() > 1:
-                return True
-        return False
+        sides = list[float]()
+        for sign in (-1.0, 1.0):
+            taken = sign * np.append(per, fixed)
+            for (weight, costs, tied), moves in zip(self.cheapest, own, strict=False):
+                mean = segment_sums(rises * costs.costs + moves, model.outcome_offsets)
+                charge = segment_minima(np.where(tied, sign * mean, np.inf), model.pair_offsets)
+                taken += weight * (self.failures @ np.where(np.isfinite(charge), charge, 0.0))
+            sides.append(sign * float(np.sign(self.scale)) * self.optima(taken))
+        return (sides[0], sides[1]) if np.isfinite(sides).all() else None
 
 
 def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> OccupationMeasure:
@@ -680,7 +712,7 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
         raise
     if 2.0 * seconds_left() < limit:
         raise Stop  # the limit has cut the solver short of a vertex
-    raise SolverError("the LP solver found no vertex, whose prices are needed: compare two solves")
+    raise SolverError("the LP solver found no vertex, no prices: solve at two values and compare")
 
 
 def _facts(model: SSP) -> dict[str, Any]:
@@ -744,7 +776,7 @@ class WhatIf(Report):
             if (measure.visits[acting] > ROUNDING).any():
                 return "two actions are equally safe: after a change only the safer one is allowed"
         costs = model.costs_by_name
-        rises = any(s > 0.0 == model.probabilities[k] for k, s in change.probabilities.items())
+        rises = _opens(model.probabilities, change.probabilities)
         rises |= any(s > 0.0 == costs[name][k] for (name, k), s in change.costs.items())
         if rises:
             step = min(_STEP, change.most(problem, 1.0) / 2.0)
@@ -909,18 +941,12 @@ def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None)
     for number in numbers:
         if (key := by(number)) is not None:
             groups.setdefault(key, []).append(number)
-    return [
-        Number("group", str(key), _common_value(some), sum((n.change for n in some), Change()))
-        if len(some) > 1
-        else replace(some[0], name=str(key))
-        for key, some in groups.items()
-    ]
-
-
-def _common_value(numbers: list[Number]) -> float | None:
-    """Return the value of the numbers if all are equal, else None."""
-    values = {number.value for number in numbers}
-    return values.pop() if len(values) == 1 else None
+    grouped = list[Number]()
+    for key, some in groups.items():
+        values, change = {n.value for n in some}, sum((n.change for n in some), Change())
+        together = Number("group", str(key), values.pop() if len(values) == 1 else None, change)
+        grouped.append(together if len(some) > 1 else replace(some[0], name=str(key)))
+    return grouped
 
 
 def _check_criterion(problem: Problem) -> None:
@@ -973,7 +999,7 @@ def _optimal_pairs(optimum: _Optimum) -> IntArray:
     A charged pair is one whose cost a failing run pays.
     """
     column, outcome, _, _ = optimum.outcomes
-    charged = [np.arange(some.start, some.stop) for *_, some in optimum.charged]
+    charged = [some for *_, some in optimum.charged]
     used = np.concatenate([outcome[optimum.best[column]], *charged]).astype(np.int64)
     model = optimum.problem.model
     if (counting := optimum.counting_steps) is not None:

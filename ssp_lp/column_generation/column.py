@@ -103,7 +103,7 @@ def required(part: _Array | None) -> _Array:
         ModelError: the field is None, because the column was not made by a pricing problem.
     """
     if part is None:
-        raise ModelError("no choice or totals: pass a column that the pricing problem made")
+        raise ModelError("the column has no choice or totals: pass one that pricing returned")
     return part
 
 

@@ -496,7 +496,7 @@ class CompiledLayered(CompiledProblem):
             raise ModelError(
                 f"too many layers of accumulated cost ({cap:.6g} of unit {base.unit:g}, on "
                 f"{base.n_nodes:,} states): use a coarser grid of costs or a smaller "
-                f"{'bound on them' if layer.counts_law else 'cost_cap'}"
+                f"{'bound on the cost' if layer.counts_law else 'cost_cap'}"
             )
         while (totals := layer.totals(cap)) is None:  # as many as fit; the gap shows the loss
             check_time()

@@ -123,6 +123,20 @@ class GoalFacts:
         return goal_reach.cheapest_reach(self.model, self.least, self.survival)
 
     @cached_property
+    def least_cost(self) -> FloatArray | None:
+        """Lower bound of E[cost; goal] of every policy, [states]; None: 0 at each start state.
+
+        A policy that steps to x' reaches the goal with at least the least goal probability of x'.
+        So the step costs at least its cost times this probability.
+        """
+        least = self.least
+        if not least.bound[self.start > 0.0].any():
+            return None
+        anything = np.ones(self.model.n_pairs, dtype=np.bool_)
+        reach = replace(least, goal=least.bound, surely=anything, solved=None)
+        return goal_reach.cheapest_reach(self.model, reach, self.survival).bound
+
+    @cached_property
     def directed(self) -> goal_reach.ReachPolicy:
         """A policy each of whose steps comes nearer to the goal with positive probability."""
         return goal_reach.goal_directed(self.model, self.survival)
@@ -483,6 +497,9 @@ class LayerAndTails:
         greatest = facts.greatest.bound if exact else np.full(len(least), facts.survival)
         decisions = np.stack([first.decision, last.decision]).astype(np.int32)
         values = TailValues.stacked([first.values, last.values], at)
+        may_fail = self.may_fail and not self.safest_only and self.guess is None
+        if may_fail and facts.least_cost is not None:
+            more["least_cost"] = at(facts.least_cost)
         return LayeredTails(decisions, values, -at(-greatest), at(least), exact=exact, **more)
 
     def totals(self, cap: float) -> Totals | None:

@@ -264,7 +264,14 @@ class Master:
 
     def solve(self) -> None:
         """Compute the best lottery of the pool's columns, in case S by Dinkelbach's iteration."""
-        rows, columns, figures = self.rows, self.pool.columns, self.pool.figures
+        rows, columns = self.rows, self.pool.columns
+        if len(columns) == 1 >= len(rows.bounds) and not (self.elastic or self.given_success):
+            self.basic, none, all_of_it = columns[0], np.zeros(len(rows.bounds)), np.ones(1)
+            self.optimum = MasterOptimum(self.basic.cost, all_of_it, none, none)
+            self.lottery, self.objective = ((self.basic,), all_of_it), self.basic.cost
+            self.size = abs(self.objective)
+            return
+        figures = self.pool.figures
         for _ in range(_RATIOS):
             cost, taken = figures[0] + self.rows.ratio * figures[1], figures[rows.index]
             if self.elastic or len(taken) > 1:

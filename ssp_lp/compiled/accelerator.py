@@ -190,7 +190,7 @@ def _is_installed() -> bool:
 @cache
 def _announce_compiling() -> None:
     """Log, once, that loops are compiled for the first time."""
-    message = "inner loops for the first time, about a second each; they are kept"
+    message = "inner loops for the first time, about a second each; they are cached"
     logging.getLogger("ssp_lp.compiling").info(message)
 
 

@@ -611,8 +611,8 @@ def lower_in_order(
 @compiled_loop
 def evaluate_precisely(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
-    order: Array, offsets: Array, most: int, rewards: Array, accuracy: float, corrections: int,
-    epsilon: float, x: Array, low: Array, runs: Array, missed: Array,
+    order: Array, offsets: Array, most: int, rewards: Array, accuracy: float, worst: float,
+    corrections: int, epsilon: float, x: Array, low: Array, runs: Array, missed: Array,
 ) -> bool:  # fmt: skip
     """Solve a policy's equations in twice the working precision; the solution is ``x + low``.
 
@@ -631,6 +631,7 @@ def evaluate_precisely(
         most: number of states of the largest component.
         rewards: [rows, rewards].
         accuracy: error to reach, relative to the greatest total.
+        worst: error that is accepted if corrections do not reach ``accuracy``.
         corrections: most corrections.
         epsilon: the machine epsilon.
         x: written, [states, rewards].
@@ -639,7 +640,8 @@ def evaluate_precisely(
         missed: written: greatest residual of the equations, [rewards].
 
     Returns:
-        Whether the check has succeeded; False if some state is never left.
+        Whether the check has succeeded and the errors are small enough; False if some state is
+        never left.
     """
     n, k = x.shape
     right, solved = np.ones((n, k + 1)), np.empty((n, k + 1))
@@ -659,14 +661,16 @@ def evaluate_precisely(
     runs *= -1.0
     before = np.full(k, np.inf)
     right, solved = np.empty((n, k)), np.empty((n, k))
+    is_verified = False
     for _ in range(corrections):
         _precise_miss(*chain, rewards, x, low, epsilon, right, missed)
-        enough, better = True, False
+        is_verified, enough, better = True, True, False
         for j in range(k):
             scale = 0.0
             for s in range(n):
                 scale = max(scale, abs(x[s, j]))
             enough &= 2.0 * longest * missed[j] <= accuracy * scale
+            is_verified &= 2.0 * longest * missed[j] <= worst * scale
             better |= missed[j] < 0.5 * before[j]
         if enough or not better:
             break
@@ -675,7 +679,7 @@ def evaluate_precisely(
         for s in range(n):
             for j in range(k):
                 x[s, j], low[s, j] = _exact_sum(x[s, j], low[s, j] + solved[s, j])
-    return True
+    return is_verified
 
 
 @compiled_loop

@@ -292,6 +292,61 @@ def sweep_reach(
 
 
 @compiled_loop
+def reach_in_order(
+    offsets: Array, bounds: Array, successors: Array, probabilities: Array, goals: Array,
+    epsilon: float, begin: int, end: int, decision: Array, values: Array,
+) -> bool:  # fmt: skip
+    """Compute the greatest goal probabilities, the last state first, if each step leads to a later.
+
+    Args:
+        offsets: pairs of each state, [states + 1].
+        bounds: outcomes of each pair, [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        goals: mask of the goals, [states].
+        epsilon: the machine epsilon.
+        begin: number of states at the end that are done.
+        end: number of states at the end that are to be done.
+        decision: written: a best pair of each state, -1 where there is none, [states].
+        values: written: probabilities of the goal and of missing it under these decisions, an upper
+            bound of the greatest of the former, and a lower bound of the least of the latter,
+            [states, 4].
+
+    Returns:
+        False if a step leads to the same or to an earlier state; then the results are incomplete.
+    """
+    for s in range(goals.size - 1 - begin, goals.size - 1 - end, -1):
+        hit = most = 1.0 if goals[s] else 0.0
+        miss = least = 1.0 - hit
+        decision[s] = -1
+        for pair in range(offsets[s], offsets[s + 1]):
+            reached = missed = upper = lower = 0.0
+            is_sure = is_lost = True
+            for k in range(bounds[pair], bounds[pair + 1]):
+                chance, t = probabilities[k], successors[k]
+                if chance > 0.0:
+                    if t <= s:
+                        return False
+                    is_sure &= values[t, 1] == 0.0
+                    is_lost &= values[t, 0] == 0.0
+                    reached += chance * values[t, 0]
+                    missed += chance * values[t, 1]
+                    upper += chance * values[t, 2]
+                    lower += chance * values[t, 3]
+            if is_sure or is_lost:  # by the graph, whatever the rounding of probabilities
+                reached = upper = 0.0 if is_lost else 1.0
+                missed = lower = 1.0 - reached
+            else:
+                rounding = (float(bounds[pair + 1] - bounds[pair]) + 2.0) * epsilon
+                upper, lower = upper * (1.0 + rounding), lower * (1.0 - rounding)
+            most, least = max(most, upper), min(least, lower)
+            if reached > hit if min(reached, hit) < 0.5 else missed < miss:
+                hit, miss, decision[s] = reached, missed, pair
+        values[s, 0], values[s, 1], values[s, 2], values[s, 3] = hit, miss, most, least
+    return True
+
+
+@compiled_loop
 def follow_reach(
     begins: Array, ends: Array, indices: Array, data: Array, order: Array, wanted: Array,
     epsilon: float, turned: bool, values: Array,

@@ -51,7 +51,7 @@ class Part(SSP):
         Raises:
             ModelError: always.
         """
-        raise ModelError("predecessors need the whole graph: use ssp_lp.solve on the whole model")
+        raise ModelError("ranks cannot search backwards: use ssp_lp.solve on the whole model")
 
     @property
     def graph(self) -> Graph:

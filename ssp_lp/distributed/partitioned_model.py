@@ -343,7 +343,7 @@ class _Checkpoint:
         for one in self._earlier[-_AGAIN:]:
             policy = PartitionedPolicy.load(self._part, one)
             if policy.told["question"] != self._question:
-                raise ModelError(f"the checkpoint is of {policy.told['question']}: name another")
+                raise ModelError(f"checkpoint of {policy.told['question']}: name another folder")
             process.earlier.append(process.evaluated(policy.positions[0]))
             prices = policy.told["prices"]
         return DualGuess(prices[1], _SURE) if prices[0] == 1.0 and prices[1] > 0.0 else None
@@ -382,8 +382,8 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
                              criterion)  # fmt: skip
     name = criterion.__name__
     if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
-        raise ModelError("ranks support neither horizon nor reach_fraction: count the steps in "
-                         "the states, and state failure_budget")  # fmt: skip
+        raise ModelError("ranks support neither horizon nor reach_fraction: make the number of "
+                         "steps part of the states, and give failure_budget")  # fmt: skip
     problem: Formulation = criterion(part, **asked)
     if problem.semantics.charge(problem.ratio) is not None:
         raise ModelError(f"{name} counts the total cost of a run: {_WHOLE}, or use MCMP on ranks")

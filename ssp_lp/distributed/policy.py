@@ -52,7 +52,7 @@ class PartitionedPolicy(ReadOnlyCopies):
         if not (weights.min(initial=1.0) >= 0.0 and abs(weights.sum() - 1.0) <= 1e-9):
             raise ModelError(f"weights must form a distribution, not {weights.tolist()}")
         if self.positions.shape != (len(weights), self.part.halo.n_own):
-            raise ModelError(f"positions must be [policies, own states]: {self.positions.shape}")
+            raise ModelError(f"positions have shape {self.positions.shape}, not [policies, states]")
         for own in self.positions:
             decision[: len(own)] = own
             check_decisions(self.part, decision, as_positions=True)

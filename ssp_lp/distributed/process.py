@@ -512,7 +512,7 @@ class PartitionedProcess(PricingProblem):
         choice = np.where(taken == GIVE_UP_CODE, self._exits, choice)
         if (choice < 0).any():
             state = quotient.model.states[int(np.flatnonzero(live)[np.argmax(choice < 0)])]
-            raise ModelError(f"the policy has no decision in state {state!r}, or may not give up")
+            raise ModelError(f"the policy has no decision, or no allowed one, in state {state!r}")
         return choice.astype(np.int32)
 
     def evaluated(self, positions: IntArray) -> Column:

@@ -109,12 +109,10 @@ def _evaluated_policy(
     verified = evaluate_precisely(
         unsigned(rows.indptr), unsigned(rows.indices), rows.data, dynamics.exits, unsigned(choice),
         unsigned(strong.order), strong.offsets, max(strong.largest, 1),
-        rewards, accuracy, _CORRECTIONS, MACHINE_EPSILON, x, low, runs, missed,
+        rewards, accuracy, max(accuracy, EVALUATED), _CORRECTIONS, MACHINE_EPSILON,
+        x, low, runs, missed,
     )  # fmt: skip
-    if not verified:
-        return None
-    totals = Totals(x, low, runs, missed)
-    return totals if totals.are_within(max(accuracy, EVALUATED)) else None
+    return Totals(x, low, runs, missed) if verified else None
 
 
 @with_twin

@@ -45,7 +45,7 @@ from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.errors import ModelError, wrong_argument
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import end_components, goal_pairs
+from ssp_lp.model.graph import end_components
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 from ssp_lp.policies.remembering import TimedPolicy
 from ssp_lp.processes.failure_semantics import (
@@ -635,7 +635,7 @@ class BayesPlayer(Player):
         """
         base, quotient, cost = self.base, self.base.quotient, self.base.gain_cost
         dynamics = quotient.dynamics(1.0, departing=False)[0]
-        choice = quotient.nearer(goal_pairs(quotient.model))
+        choice = quotient.nearer_goal()
         choice = base.pair_offsets[:-1].copy() if choice is None else choice.astype(np.int32)
         choice, totals, _ = improved_response(dynamics, cost[:, None], np.ones(1), choice)
         values = totals[:, 0]

@@ -115,7 +115,7 @@ def _header_of(archive: Any, kind: str) -> Any:
     header: Any = None
     if _HEADER in archive.files:
         if (size := archive.zip.getinfo(f"{_HEADER}.npy").file_size) > _LARGEST_HEADER:
-            raise ModelError(f"a header of {size:,} bytes, more than {_LARGEST_HEADER:,}")
+            raise ModelError(f"its header has {size:,} bytes, more than {_LARGEST_HEADER:,}")
         header = json.loads(archive[_HEADER].tobytes())
     if not isinstance(header, dict):
         raise ModelError("it was not written by ssp-lp")

@@ -289,7 +289,7 @@ def _place_of(memory: dict[str, Any], number: int, state: int) -> int:
     """
     place: int = memory["place"][number][state]
     if place < 0:
-        raise ValueError("the policy never has this value of its memory in this state")
+        raise ValueError("the observations give a memory that the policy never has in this state")
     return place
 
 

@@ -391,7 +391,7 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
         raise ModelError(
             f"{_name_of(env)} is not tabular: it has no table of transitions, env.unwrapped.P; "
             "if its state is coordinates, continuous_from_gymnasium(env, grid, goal=...) makes "
-            "a world of it for discretise; if you know the probabilities of its steps, "
+            "a simulator of it for discretise; if you know the probabilities of its steps, "
             "SSP.from_successors takes a function (docs/models.md)"
         )
     # no lists of lists, which would take longer to collect than all the rest
@@ -682,8 +682,8 @@ def rollout(
     if cut_off and (horizon is None or limit is None or horizon > limit):
         by = "a wrapper of its own" if limit is None else f"TimeLimit, max_episode_steps={limit}"
         warnings.warn(
-            f"{_name_of(env)} cut off {cut_off:,} of {episodes:,} episodes ({by}), which the "
-            "policy's model does not count: build it with a horizon",
+            f"{_name_of(env)} cut off {cut_off:,} of {episodes:,} episodes ({by}), but the "
+            "policy's model has no step limit, or a longer one: build it with a horizon",
             StepLimitWarning,
             stacklevel=3,  # past the rollout and the wrapper that explains its errors
         )

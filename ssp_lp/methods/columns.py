@@ -64,13 +64,12 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
 
     If ``options`` choose the full linear program, it is solved as well, as a check.
     """
-    compiled, aim = problem.compile(), problem.semantics.aim
-    start = compiled.facts.start
+    aim, start = problem.semantics.aim, problem.start_mass
     reach = extreme_goal_reach(problem.model, aim, start)
     objective, bound = float(expected(start, reach.goal)), float(expected(start, reach.bound))
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
     if options.program is not None:
-        process = compiled.explicit()
+        process = problem.compile().explicit()
         limits = {FAILURE_ROW: (process.failure, 1.0)}
         optimum = solve_program(process, limits, options, ratio=False)
         check_agreement(optimum, 1.0 - objective if greatest else objective)
@@ -379,11 +378,11 @@ def _safest_optimum(
     """Return the policy of least failure, after a search that was stopped without any policy.
 
     Raises:
-        Stop: a policy of case M is known, which is a better answer; or there is no time to compute
-            the policy of least failure.
+        Stop: a policy of case M is known, or ``solve`` finds one sooner, which is a better answer;
+            or there is no time to compute the policy of least failure.
     """
-    if prepared() is not None:  # a better incumbent exists
-        raise Stop from stop
+    if prepared() is not None or compiled.charge is not None:
+        raise Stop(told=stop.told if isinstance(stop, Stop) else "") from stop
     with WithIncumbent(), closing():
         least = checked_least_failure(compiled, row.budget) if least is None else least
         options = SolveOptions(TRIAL_TOLERANCE)

@@ -435,7 +435,7 @@ class Frontier(Report):
             of_failure = self.over == FAILURE_ROW
             more = ": set a higher steepest_price" if of_failure else ""
             raise ModelError(
-                f"the frontier was traced from {self.over} {lowest:.12g} on, above the budget "
+                f"the frontier was traced only from {self.over} {lowest:.12g}, above the budget "
                 f"{budget!r}{more}"
             )
         if not budget >= lowest - LEAST_BUDGET:

@@ -7,8 +7,9 @@ calls, while a search on accumulated costs may not find its first policy in minu
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from math import hypot, sqrt
 from typing import Any
@@ -25,7 +26,7 @@ from ssp_lp.column_generation.compiled_problem import (
     GoalFacts,
     checked_least_failure,
 )
-from ssp_lp.compiled.deadline import WithIncumbent
+from ssp_lp.compiled.deadline import WithIncumbent, closing, seconds_left, until
 from ssp_lp.errors import SSPError
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.refinement import Optimum, Proved
@@ -45,6 +46,8 @@ from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _ROUGH = SolveOptions(1e-3)  # tolerance in case M, whose policy is not optimal anyway
+_SEARCHED = 0.6  # share of a long time for the search in case M; the rest is for the evaluation
+_LONG = 3.0  # seconds
 _NOTHING = 1e-290  # a smaller bound is 0
 _VARIANCE = 1e-6  # rounding error of a standard deviation, relative to the mean
 _MOMENTS = "its objective is a bound by mean and variance: the exact value takes longer"
@@ -75,14 +78,20 @@ class Incumbent:
         for at_least_failure in (False, True):  # the cheapest policy may fail always
             with WithIncumbent(), suppress(SSPError):  # the search raises it again
                 if at_least_failure not in self.policies:
-                    policy = self._cheapest_policy(problem, at_least_failure=at_least_failure)
+                    left = seconds_left()
+                    ends = time.perf_counter() + _SEARCHED * left
+                    with until(ends) if left > _LONG else nullcontext():
+                        policy = self._cheapest_policy(problem, at_least_failure=at_least_failure)
                     self.policies[at_least_failure] = policy
                 policy = self.policies[at_least_failure]
                 if policy is not None and not (self.deterministic and len(policy.policies) > 1):
                     room = LEAST_BUDGET if at_least_failure else 0.0
-                    if problem.semantics.counts_law:  # a bound until its law is known
-                        self.solution = _incumbent_value(problem, policy, room, by_moments)
-                    self.solution = _incumbent_value(problem, policy, room)
+                    counts_law = problem.semantics.counts_law
+                    with closing():
+                        judge = by_moments if counts_law else evaluate
+                        self.solution = _incumbent_value(problem, policy, room, judge)
+                    if counts_law:  # a bound until its law is known
+                        self.solution = _incumbent_value(problem, policy, room)
             if self.solution is not None:
                 return self
         return None
@@ -140,7 +149,7 @@ def _incumbent_value(
     problem: Problem,
     policy: MixedPolicy,
     room: float,
-    judge: Callable[[MixedPolicy, Problem], Evaluation] = evaluate,
+    judge: Callable[..., Evaluation] = evaluate,
 ) -> Solution | None:
     """Return a policy of case M as a solution of a problem.
 

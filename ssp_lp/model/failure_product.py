@@ -21,7 +21,6 @@ from ssp_lp.model.graph import (
     dead_ends,
     end_components,
     end_marks,
-    pairs_into,
     reaching_states,
     surely_ending,
 )
@@ -126,7 +125,7 @@ class FailureSSP(ProductSSP):
         """
         over = self.ended | self.goal_mask | self.stops
         over[self.pair_state[self._staying]] = True
-        return surely_ending(self, over, pairs_into(self, over), ~reaching_states(self, over))[:2]
+        return surely_ending(self, over, ~reaching_states(self, over))[:2]
 
     @cached_property
     def _staying(self) -> BoolArray:
@@ -226,18 +225,15 @@ def label_failing(
     names = model.action_names
     own = model.pair_action[original_pair].astype(np.int64)
     label, original_state = (read_only(part) for part in np.divmod(np.arange(2 * n), n))
-    parts = copied_parts(model, original_pair, outcome) | {
+    pair_offsets = offsets_of(np.bincount(state[original_pair] + n * after, minlength=2 * n))
+    graph = pair_offsets, offsets_of(lengths), model.successors[outcome] + n * failed
+    parts = copied_parts(model, *graph, original_pair, outcome) | {
         "action_names": (*names, *((GIVING_UP, name) for name in names)),
         "pair_action": read_only(own + len(names) * gives_up),
     }
     return FailureSSP(
         **parts,
         states=ProductStates(model.states, (BEFORE, AFTER), original_state, label),
-        pair_offsets=read_only(
-            offsets_of(np.bincount(state[original_pair] + n * after, minlength=2 * n))
-        ),
-        outcome_offsets=read_only(offsets_of(lengths)),
-        successors=read_only(model.successors[outcome] + n * failed, np.int32),
         goal_mask=read_only(np.append(model.goal_mask, np.zeros(n, dtype=np.bool_))),
         state_labels={
             name: read_only(np.append(members, members + n))
@@ -260,5 +256,5 @@ def check_label(model: SSP) -> FailureSSP:
         ModelError: it is another model.
     """
     if model.failure_label is None:
-        raise ModelError("the policy ends when it fails, as its problem counts nothing afterwards")
+        raise ModelError("no actions after failing exist, because the problem counts nothing there")
     return model.failure_label

@@ -165,14 +165,19 @@ def dead_ends(model: SSP) -> BoolArray:
     return hopeless_states(model) if label is None else label.ended
 
 
+@with_twin
 def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
     """Return the states from which some policy may reach one of the given states, [states].
 
     Args:
         ends: mask of the given states, [states].
     """
-    before, frontier = model.predecessors, ends.nonzero()[0]
-    return reached_along(model.pair_state[before.pairs], before.offsets, frontier)
+    before, home, frontier = model.predecessors, model.pair_state, ends.nonzero()[0]
+    if not accelerated(len(before.pairs), _SEARCH):
+        return reached_along(home[before.pairs], before.offsets, frontier)
+    wanted = (~ends).astype(np.int64)
+    drain(model, np.ones(len(home), dtype=np.bool_), wanted, frontier)
+    return np.asarray(wanted <= 0)
 
 
 @kept
@@ -204,11 +209,11 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
         goal, -1 at goals and outside the mask, [states].
     """
     hopeless = hopeless_states(model) if model.n_outcomes > _MANY_OUTCOMES else None
-    return surely_ending(model, model.goal_mask, goal_pairs(model), hopeless)
+    return surely_ending(model, model.goal_mask, hopeless)
 
 
 def surely_ending(
-    model: Graph, ends: BoolArray, leading: BoolArray, hopeless: BoolArray | None = None
+    model: Graph, ends: BoolArray, hopeless: BoolArray | None = None
 ) -> tuple[BoolArray, BoolArray, IntArray]:
     """Return the states from which some policy surely reaches an end, and a policy.
 
@@ -217,7 +222,6 @@ def surely_ending(
     Args:
         model: the graph.
         ends: states in which a run ends, [states].
-        leading: pairs that may lead to one of ``ends``, [pairs].
         hopeless: mask of the states from which no policy reaches one of ``ends``, [states]; None:
             not known.
     """
@@ -229,18 +233,10 @@ def surely_ending(
         open_counts[lost] = 0
         drain(model, open_pairs, open_counts, lost.nonzero()[0])
         kept = open_counts > 0
-        nearer = nearer_pairs(model, leading & open_pairs, open_pairs)
+        nearer = nearer_pairs(model, None, open_pairs, ends=ends)
         lost = kept & ~ends & (nearer < 0)
         if not lost.any():
             return kept, open_pairs, nearer
-
-
-@kept
-def goal_pairs(model: SSP) -> BoolArray:
-    """Return the pairs that may lead to a goal, [pairs]."""
-    before, leading = model.predecessors, np.zeros(model.n_pairs, dtype=np.bool_)
-    leading[before.pairs[entries_of(before.offsets, model.goal_mask.nonzero()[0])[0]]] = True
-    return leading
 
 
 def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
@@ -299,50 +295,57 @@ def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
         0 where there is no pair, [states].
     """
     distance = np.zeros(model.n_states, dtype=np.int32)
-    choice = nearer_pairs(model, goal_pairs(model), distance=distance)
-    return choice, np.where(choice >= 0, distance + 1, 0)
+    return nearer_pairs(model, None, distance=distance, ends=model.goal_mask), distance
 
 
 @with_twin
 def nearer_pairs(
     graph: Graph,
-    leaving: BoolArray,
+    leaving: BoolArray | None,
     usable: BoolArray | None = None,
     distance: IntArray | None = None,
+    *,
+    ends: BoolArray | None = None,
 ) -> IntArray:
-    """Return a pair of each state on a shortest path to one of the target pairs ``leaving``.
+    """Return a pair of each state on a shortest path to a target: a pair or a state.
 
     A state that has a target pair takes it. Of several pairs at the least distance the first one is
     taken.
 
     Args:
         graph: graph of a model, or of a process.
-        leaving: mask of the target pairs, [pairs].
+        leaving: mask of the target pairs, [pairs]; None: none.
         usable: mask of the pairs that may be taken, also as targets, [pairs]; None: all.
         distance: array of zeros that is overwritten with the number of steps before a target pair
-            is taken, [states] int32.
+            is taken, or until a target state, [states] int32.
+        ends: mask of the target states, if there are no target pairs, [states].
 
     Returns:
-        The pair of each state; -1 where no target pair can be reached, [states].
+        The pair of each state; -1 in ``ends`` and where no target can be reached, [states].
     """
     before, pair_state, n = graph.predecessors, graph.pair_state, graph.n_states
     choice = np.full(n, -1, dtype=np.int64)
-    useful: IntArray = (leaving if usable is None else leaving & usable).nonzero()[0]
+    if leaving is None:
+        taken: IntArray = np.zeros(0, dtype=np.int64) if ends is None else ends.nonzero()[0]
+    else:
+        useful = (leaving if usable is None else leaving & usable).nonzero()[0]
+        begun = useful[run_starts(pair_state[useful])]
+        taken = pair_state[begun]
+        choice[taken] = begun
     if accelerated(len(before.pairs), _SEARCH):
         from ssp_lp.compiled.graphs import search_backwards
 
-        begun = useful[run_starts(pair_state[useful])]
-        wanted, taken = np.ones(n, dtype=np.int64), pair_state[begun]
-        wanted[taken], choice[taken] = 0, begun
+        wanted = np.ones(n, dtype=np.int64)
+        wanted[taken] = 0
         open_pairs = np.ones(len(pair_state), dtype=np.bool_) if usable is None else usable.copy()
         reversed_graph = before.offsets, before.pairs, pair_state
         search_backwards(reversed_graph, open_pairs, wanted, taken, choice, distance)
         return choice
-    # Search breadth-first against the edges, from an added node n before all leaving pairs.
+    # Search breadth-first against the edges, from an added node n before all targets.
     # Unusable pairs are given to n itself, so that they reach no state. scipy returns the parent
     # of each state in the tree of the search, and doubling the jumps counts the steps to n.
     home = pair_state if usable is None else np.where(usable, pair_state, n)
-    sources = np.concatenate([home[before.pairs], pair_state[useful]])
+    sources = np.concatenate([home[before.pairs], taken])
     links = edges(sources, np.append(before.offsets, sources.size))
     check_time()
     parent = sp.csgraph.breadth_first_order(links, n)[1]
@@ -358,7 +361,6 @@ def nearer_pairs(
     after = np.repeat(steps[:n], np.diff(before.offsets)) + 1
     nearest = np.zeros(len(pair_state), dtype=np.bool_)
     nearest[before.pairs[steps[sources[: after.size]] == after]] = True
-    nearest[useful] = True
     best: IntArray = nearest.nonzero()[0]
     first = best[run_starts(pair_state[best])]
     choice[pair_state[first]] = first

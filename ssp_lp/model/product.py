@@ -27,10 +27,11 @@ from ssp_lp.arrays import (
     segment_ids,
     sorted_unique,
 )
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, wrong_argument
 from ssp_lp.model.arguments import check_fields, explained, explained_class
-from ssp_lp.model.graph import dead_ends, goal_approach
+from ssp_lp.model.graph import goal_approach
 from ssp_lp.model.ssp import SSP, check_hashable, check_model, no_lone_string
 
 MOST_PLACES: Final = 250_000_000  # states times steps or memories: four bytes each in numbering
@@ -235,7 +236,7 @@ class ProductSSP(SSP):
             step = kept, state, self.action_of(pair), there, cost
             if (after := update(*step)) not in self.memory_number:
                 told = f"the step from {state!r} by {step[2]!r} to {there!r} at cost {cost:g}"
-                other = f"the memory {after!r}, which the product lacks: is it a step of the model?"
+                other = f"the memory {after!r}, unknown to the product: check that it is possible"
                 raise ModelError(f"{told} leads to {other}")
             return self.memory_number[after]
 
@@ -303,15 +304,28 @@ class ProductSSP(SSP):
         return place if place >= 0 else None
 
 
-def copied_parts(model: SSP, pairs: IntArray, outcomes: IntArray) -> dict[str, Any]:
-    """Return the fields of a product that are copies of the model's.
+def copied_parts(
+    model: SSP,
+    pair_offsets: IntArray,
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    pairs: IntArray,
+    outcomes: IntArray,
+) -> dict[str, Any]:
+    """Return the graph of a product, with the fields that are copies of the model's.
 
     Args:
         model: the model.
+        pair_offsets: of the product, like the next two.
+        outcome_offsets: of the product.
+        successors: of the product.
         pairs: the model's pair of each pair of the product, [product pairs].
         outcomes: the model's outcome of each outcome of the product, [product outcomes].
     """
     return {
+        "pair_offsets": read_only(pair_offsets),
+        "outcome_offsets": read_only(outcome_offsets),
+        "successors": read_only(successors, np.int32),
         "action_names": model.action_names,
         "pair_action": read_only(model.pair_action[pairs]),
         "probabilities": read_only(model.probabilities[outcomes]),
@@ -385,7 +399,7 @@ def product(
     goal[refused] = [bool(memory.accepts(kept[k])) for k in number[refused].tolist()]
     refused &= ~goal
     if not goal.any():
-        raise ModelError("no run from the start reaches a goal with a memory that it accepts")
+        raise ModelError("no run from the start reaches a goal with an accepted memory")
     return ProductSSP(
         **fields,
         states=ProductStates(names, tuple(numbers), read_only(state), read_only(number)),
@@ -456,11 +470,8 @@ def unfold(
     state, number, goes_on, outcomes, target = map(np.concatenate, zip(*rounds, strict=True))
     actions = np.diff(model.pair_offsets)[state] * goes_on
     pairs = concatenated_ranges(model.pair_offsets[state], actions)
-    fields = copied_parts(model, pairs, outcomes) | {
-        "pair_offsets": read_only(offsets_of(actions)),
-        "outcome_offsets": read_only(offsets_of(np.diff(offsets)[pairs])),
-        "successors": read_only(places[target]),
-    }
+    bounds = offsets_of(actions), offsets_of(np.diff(offsets)[pairs])
+    fields = copied_parts(model, *bounds, places[target], pairs, outcomes)
     return state.astype(np.int64), number, fields
 
 
@@ -570,7 +581,7 @@ def within_steps(
         leaving = inside[source] & ~inside[model.successors] & (model.probabilities > 0.0)
         if leaving.any():
             state = model.states[int(source[int(np.argmax(leaving))])]
-            raise ModelError(f"state {state!r} can be left: states in survive must be absorbing")
+            raise ModelError(f"survive must name absorbing states, but state {state!r} can be left")
     begin = None
     if start is not None:
         begin = [model.index_of(state) for state in no_lone_string(start, "start")]
@@ -580,8 +591,36 @@ def within_steps(
     return horizon
 
 
+@with_twin
+def _unrolled(model: SSP, steps: int, begin: IntArray) -> tuple[IntArray, IntArray, dict[str, Any]]:
+    """Return what :func:`unfold` does for a memory that counts steps; steps + 1: out of time."""
+    acting = np.diff(model.pair_offsets) > 0
+    if accelerated(steps * model.n_outcomes, "graphs.find_layers", "graphs.fill_layers"):
+        from ssp_lp.compiled.graphs import unroll
+
+        graph = model.pair_offsets, model.outcome_offsets, model.successors, model.probabilities
+        state, layers, parts = unroll(graph, sorted_unique(begin), steps)
+        count, last = np.arange(steps + 1).repeat(np.diff(layers)), layers[-2]
+        count[last:] += acting[state[last:]]
+        return state, count, copied_parts(model, *parts)
+
+    def after(before: IntArray, outcomes: IntArray) -> IntArray:
+        """Return the numbers of steps after outcomes, [entries]."""
+        if not (before == steps - 1).any():
+            return before + 1
+        return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round
+
+    first = begin, np.zeros_like(begin)
+    return unfold(model, first, after, lambda states, counts: counts >= steps)
+
+
 def unroll_steps(
-    model: SSP, steps: int, begin: Sequence[int] | None, survive: tuple[str, ...] | None = None
+    model: SSP,
+    steps: int,
+    begin: Sequence[int] | None,
+    survive: tuple[str, ...] | None = None,
+    *,
+    is_hidden: bool = False,
 ) -> HorizonSSP:
     """Return the model of :func:`within_steps`, without checking that a goal can be reached.
 
@@ -591,47 +630,37 @@ def unroll_steps(
         begin: states in which episodes may begin; None: all.
         survive: labels of states in which an episode fails, if taking all steps is success; None:
             taking all steps is failure.
+        is_hidden: whether the user's problem has another model.
 
     Raises:
         ModelError: states times steps are too many.
     """
-    steps, acting = int(steps), np.diff(model.pair_offsets) > 0
+    steps = int(steps)
     if (steps + 2) * model.n_states > MOST_PLACES:
         raise ModelError(
             f"{steps:,} steps on {model.n_states:,} states are too many: take ",
             Argument("horizon", None),
             ", or make the model smaller",
         )
-
-    def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the number of steps after each outcome, [entries].
-
-        After the last step it is steps + 1, which means out of time, if the successor has actions.
-        """
-        if not (before == steps - 1).any():
-            return before + 1
-        return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round
-
     first = np.array(range(model.n_states) if begin is None else begin, dtype=np.int64)
-    state, count, fields = unfold(
-        model, (first, np.zeros_like(first)), after, lambda states, counts: counts >= steps
-    )
-    over, late = count > steps, dict[str, BoolArray]()
+    state, count, fields = _unrolled(model, steps, first)
+    goal, late = model.goal_mask[state], dict[str, BoolArray]()
     if survive is None:  # label states from which the goal is too many steps away
         nearer, needed = goal_approach(model)
-        needed = np.where((nearer >= 0) | model.goal_mask, needed, steps + 1)
-        late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - count
-    lost = np.concatenate([[], *(model.state_labels[name] for name in survive or ())])
-    survived = over & ~np.isin(state, lost) & (survive is not None)
+        late[LATE] = np.where(nearer >= 0, needed, -1)[state] > steps - count
+    else:
+        lost = np.concatenate([[], *(model.state_labels[name] for name in survive)])
+        goal |= (count > steps) & ~np.isin(state, lost)
     number = read_only(count, least_integer_type(steps + 1))
     check_time()
     horizon = HorizonSSP(
         **fields,
         states=ProductStates(model.states, (*range(steps + 1), LATE), read_only(state), number),
-        goal_mask=read_only(model.goal_mask[state] | survived),
+        goal_mask=read_only(goal),
         state_labels=labels_in_product(model, state, late),
         steps=steps,
         survive=survive,
+        is_hidden=is_hidden,
     )
     _BUILDING.info("%r", horizon)
     return horizon

@@ -1008,7 +1008,7 @@ class FlatModel:
         if any(len(paid) < len(costs) for paid in flat["named_costs"].values()):
             raise ModelError(f"state {state!r} has unnamed costs: name them as elsewhere")
         if self._cost is not None and costs and not flat["named_costs"]:
-            raise ModelError(f"there is no cost {self._cost!r}: give each cost a name")
+            raise ModelError(f"no cost is called {self._cost!r}: give each cost a name")
         if goal:
             flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
         flat["pair_offsets"].append(len(flat["actions"]))
@@ -1059,7 +1059,7 @@ class FlatModel:
         if not costs or named.keys() != costs.keys():
             told = "the costs " + ", ".join(map(repr, costs)) if costs else "no costs"
             others = ", ".join(map(repr, named)) or "none by name"
-            raise ModelError(f"{where} has {told}, others {others}: name the same everywhere")
+            raise ModelError(f"{where} has {told}, others {others}: name the same costs everywhere")
         if (self._cost is None and len(named) > 1) or self._cost not in (None, *named):
             known = ", ".join(map(repr, named))
             said = "" if self._cost is None else f", not {self._cost!r}"
@@ -1420,7 +1420,7 @@ def _indexed_labels(model: SSP, labels: Mapping[str, StateSet]) -> Mapping[str, 
     indexed = {}
     for name, members in labels.items():
         if name in ENDS:
-            raise ModelError(f"state label {name!r} is taken: reports use {', '.join(ENDS)}")
+            raise ModelError(f"state label {name!r} is reserved: reports use {', '.join(ENDS)}")
         indexed[name] = read_only(_members(model, f"state_labels[{name!r}]", members))
     return indexed
 

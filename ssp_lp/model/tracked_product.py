@@ -157,8 +157,8 @@ def check_not_rounded(model: SSP, what: str) -> None:
     """
     for follows, unit in rounded_in(model).items():
         raise ModelError(
-            f"the totals of {follows!r} are too many and rounded to multiples of {unit:.3g}, which "
-            f"{what} does not support: round the amounts to fewer values"
+            f"{what} does not support rounded totals, but those of {follows!r} are too many and "
+            f"rounded to multiples of {unit:.3g}: round the amounts to fewer values"
         )
 
 

@@ -260,7 +260,7 @@ def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = N
     as_solved(solution, "plot_bounds")
     if solution.problem.semantics.counts_law:
         name = type(solution.problem).__name__
-        raise ModelError(f"a search for {name} has bounds only at its end: read solution.gap")
+        raise ModelError(f"{name} records no bounds during the search: read solution.gap instead")
     ax = axes_or_new(ax)
     upper = np.minimum.accumulate([*record.objectives, solution.objective])
     lower = np.maximum.accumulate([*_proved_bounds(record, solution.problem), solution.lower_bound])

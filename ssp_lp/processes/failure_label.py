@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import goal_pairs, pairs_into, surely_reaching
+from ssp_lp.model.graph import pairs_into, surely_reaching
 from ssp_lp.policies.policy import DeterministicPolicy
 from ssp_lp.processes.conditions import UpperRow
 from ssp_lp.processes.explicit_process import ExplicitProcess
@@ -65,10 +65,10 @@ class FailureLabelled:
             safely: whether to prefer ways whose pairs cannot lead to a dead-end.
         """
         model = self.quotient.model
-        nearer = self.quotient.nearer(goal_pairs(model))
+        nearer = self.quotient.nearer_goal()
         if safely and nearer is not None:
             safe = ~pairs_into(model, self.quotient.dead)
-            guarded = self.quotient.nearer(goal_pairs(model) & safe, safe)
+            guarded = self.quotient.nearer_goal(safe)
             nearer = nearer if guarded is None else np.where(guarded >= 0, guarded, nearer)
         return None if nearer is None else self._with_source(nearer)
 
@@ -189,8 +189,7 @@ def with_start(
         cost: cost of the pair of the source.
     """
     model, live_start = quotient.model, quotient.gather(start)
-    at_goal = float(start[model.goal_mask].sum())
-    at_dead = float(start[quotient.dead].sum())
+    at_goal, at_dead = (float(start[ends].sum()) for ends in (model.goal_mask, quotient.dead))
     if at_goal + at_dead == 0.0:
         return replace(process, start=live_start)
     n = quotient.n_nodes

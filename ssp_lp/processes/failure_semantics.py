@@ -41,7 +41,7 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_pairs, attention_states, goal_pairs, hopeless_states
+from ssp_lp.model.graph import attention_pairs, attention_states, hopeless_states, pairs_into
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.processes.live_rows import cost_means, costless_pairs, successor_means
 from ssp_lp.processes.quotient import Quotient
@@ -422,7 +422,9 @@ def free_pairs(
     elif aim is Aim.GREATEST_GOAL:
         free = np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component has a risk
     else:
-        free = ~goal_pairs(model) if aim is Aim.LEAST_GOAL else costless_pairs(model)
+        free = (
+            ~pairs_into(model, model.goal_mask) if aim is Aim.LEAST_GOAL else costless_pairs(model)
+        )
     for row in side:
         free = free & row.free
     return free

@@ -14,9 +14,11 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, expected, read_only
-from ssp_lp.compiled.deadline import check_time
+from ssp_lp.compiled.accelerator import accelerated, with_twin
+from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.equations import System
+from ssp_lp.dynamic_programming.evaluation import EVALUATED
 from ssp_lp.dynamic_programming.extreme_reach import ExtremeReach, attaining_pairs, extreme_reach
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP, graph
@@ -98,6 +100,9 @@ def greatest_goal_reach(
             policy and a bound.
     """
     exact, setting = survival == 1.0, (survival, start, last_digits)
+    one_pass = _reach_in_order(model, start) if exact and not last_digits else None
+    if one_pass is not None:
+        return one_pass
     if exact:
         sure, keeping, nearer = graph.surely_reaching(model)
         decision = np.where(nearer < 0, UNDECIDED, nearer)
@@ -119,6 +124,35 @@ def greatest_goal_reach(
     quotient = build_quotient(model, free=everything, ended=sure | hopeless)
     reach = _extreme_reach(quotient, sure, surely, *setting, greatest=True)
     return replace(reach, decision=np.where(inside, nearer, reach.decision))
+
+
+@with_twin
+def _reach_in_order(model: SSP, start: FloatArray | None) -> GoalReach | None:
+    """Compute the greatest goal probabilities in one pass, if each step leads to a later state.
+
+    This holds in products with a count of steps. The result is None in other models, if the loop is
+    not worth compiling, and if rounding may exceed ``EVALUATED`` at a start state.
+    """
+    if model.failure_label is not None or start is None:
+        return None
+    if not accelerated(model.n_outcomes, "policy_improvement.reach_in_order"):
+        return None
+    from ssp_lp.compiled.policy_improvement import reach_in_order
+
+    n, graph = model.n_states, (model.pair_offsets, model.outcome_offsets, model.successors)
+    decision, values = np.empty(n, dtype=np.int32), np.empty((n, 4))
+    arrays = *graph, model.probabilities, model.goal_mask, MACHINE_EPSILON
+    for some in pieces(n, model.n_outcomes):
+        if not reach_in_order(*arrays, some.start, some.stop, decision, values):
+            return None
+    hit, miss, most, least = values.T
+    goal = np.where(miss < hit, 1.0 - miss, hit)
+    bound = np.clip(np.minimum(most, 1.0 + 2.0 * MACHINE_EPSILON - least), goal, 1.0)
+    if (((bound - goal) > EVALUATED * goal) & (start > 0.0)).any():
+        return None
+    surely = np.zeros(model.n_pairs, dtype=np.bool_)
+    surely[decision[decision >= 0]] = True
+    return GoalReach(goal, bound, decision, surely)
 
 
 def greatest_goal_from(model: SSP, start: FloatArray) -> float:

@@ -49,9 +49,11 @@ def labelled_past_failing(
     """
     limits_and_objective = (*limits, *(() if objective is None else (objective,)))
     terms = [term for condition in limits_and_objective for _, term in condition.terms]
+    if semantics.forbids_failing or not terms:
+        return None
     ends, targets = _ends_past_failing(model, terms)
     pays = any(isinstance(term, StepTerm) and term.through for term in terms)
-    if semantics.forbids_failing or not (targets.any() or pays):
+    if not (targets.any() or pays):
         return None
 
     # with accumulated cost, as in case S, a policy may give up at attention states

@@ -588,7 +588,7 @@ def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]
                 there = _looked_up_states(model, of).astype(np.float64)
                 amounts, begun = amounts + weight * there[model.successors], begun + weight * there
             case _:
-                told = "the total of a run must count costs and visits, without through_failure"
+                told = "the total of a run can count costs and visits, without through_failure"
                 raise ModelError(f"{told}, not {counted!r}")
     return amounts, begun
 
@@ -717,7 +717,7 @@ def _looked_up_states(model: SSP, words: tuple[Hashable, ...], *, final: bool = 
             known: list[Hashable] = [*labels]
             told = "neither a state nor a label of states"
             if final:
-                known, told = named, f"no way to end ({', '.join(map(repr, named))}) and no state"
+                known, told = named, f"neither an end ({', '.join(map(repr, named))}) nor a state"
             others = did_you_mean(word, [*known, *model.states], "there are")
             raise ModelError(f"{word!r} is {told}{_as_an_action(model, word) or others}") from error
         if final and states.size and (marks[states] < 0).all():  # a horizon may leave none

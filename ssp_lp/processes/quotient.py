@@ -117,19 +117,18 @@ class Quotient:
         leaving, inside = live & gives_up[self.node_of], np.zeros_like(self.inside)
         return _quotient_with_pairs(self.model, self.dead, node_of, inside, none, kept, leaving)
 
-    def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
-        """Return a pair of each node on a shortest way to one of given pairs, [nodes]; -1: no way.
+    def nearer_goal(self, usable: BoolArray | None = None) -> IntArray | None:
+        """Return a pair of each node on a shortest way to the goal, [nodes]; -1: no way.
 
         The result is None if components are merged, since their members differ in distance.
 
         Args:
-            leaving: the pairs to reach, [model pairs].
             usable: pairs that may be taken, [model pairs]; None: all.
         """
         if self.merged.any():
             return None
-        kept = (self.places >= 0) & (True if usable is None else usable)
-        return self.placed(nearer_pairs(self.model, leaving, kept))
+        kept = self.places >= 0 if usable is None else (self.places >= 0) & usable
+        return self.placed(nearer_pairs(self.model, None, kept, ends=self.model.goal_mask))
 
     def placed(self, decision: IntArray) -> IntArray:
         """Translate decisions on states to pairs of the quotient, [nodes]; -1: no pair.
@@ -193,14 +192,26 @@ class Quotient:
             return places
         live, several = (self.node_of >= 0).nonzero()[0], max(CHUNK // max(len(offsets), 1), 1)
         nodes, own, last = self.node_of[live], self.pair_offsets[:-1], self.pair_offsets[1:] - 1
-        # the moves of a node's members depend on its pair alone
-        most = int(np.diff(self.pair_offsets).max(initial=1))
-        pairs = np.stack([self.pull_back(np.minimum(own + k, last)) for k in range(most)])
-        table = np.where(pairs < 0, pairs, pairs - offsets)[:, live].astype(places.dtype)
-        for begin in range(0, len(choice), several):
-            taken = (first + choice[begin : begin + several])[:, nodes] - own[nodes]
-            places[begin : begin + several, live] = table[taken, np.arange(len(live))]
+        shift, most = first - own, int(np.diff(self.pair_offsets).max(initial=1))
+        parts = [slice(begin, begin + several) for begin in range(0, len(choice), several)]
+        seen, table = np.zeros(most, np.bool_), np.empty((most, len(live)), places.dtype)
+        for some in parts:
+            seen[choice[some] + shift] = True
+        for k in seen.nonzero()[0].tolist():
+            if k not in self._moves:  # they depend on the nodes' pairs alone
+                pairs = self.pull_back(np.minimum(own + k, last))[live]
+                own_pairs = np.where(pairs < 0, pairs, pairs - offsets[live])
+                self._moves[k] = own_pairs.astype(places.dtype)
+            table[k] = self._moves[k]
+        for some in parts:
+            taken = choice[some][:, nodes] + shift[nodes]
+            places[some, live] = table[taken, np.arange(len(live))]
         return places
+
+    @cached_property
+    def _moves(self) -> dict[int, IntArray]:
+        """Cache: by k, the positions of the live states if each node takes its pair k, [live]."""
+        return {}
 
     def pull_back(self, choice: IntArray) -> IntArray:
         """Translate one chosen pair per node to decisions on states.
@@ -265,7 +276,8 @@ def build_quotient(
         component, inside = end_components(model, free & usable)
     merged = component >= 0
     leaving = np.zeros(model.n_states, dtype=np.bool_) if exits is None else exits & live
-    leaving = leaving | (merged if free_exits else merged & hopeless_states(model))
+    if merged.any():
+        leaving = leaving | (merged if free_exits else merged & hopeless_states(model))
     check_time()
     node_of = _numbered_nodes(live, component)
     return _quotient_with_pairs(model, dead, node_of, inside, merged, usable & ~inside, leaving)
@@ -280,11 +292,9 @@ def _numbered_nodes(live: BoolArray, component: IntArray) -> IntArray:
         live: live states, [states].
         component: component of each state, negative for none, [states].
     """
-    group = np.where(component >= 0, component + live.size, np.arange(live.size))
-    first = np.arange(live.size)
-    members = (component >= 0).nonzero()[0]
+    first, members = np.arange(live.size), (component >= 0).nonzero()[0]
     if members.size:
-        _, begin, back = np.unique(group[members], return_index=True, return_inverse=True)
+        _, begin, back = np.unique(component[members], return_index=True, return_inverse=True)
         first[members] = members[begin[back]]
     heads = live & (first == np.arange(live.size))
     number = heads.cumsum(dtype=np.int32) - 1
@@ -317,14 +327,12 @@ def _quotient_with_pairs(
     if merged.any():
         order = np.argsort(pair_node, kind="stable")
         pairs, pair_node = pairs[order], pair_node[order]
-    gives_up = np.zeros(n_nodes, dtype=np.int32)
-    gives_up[node_of[leaving]] = 1
-    counts = np.bincount(pair_node, minlength=n_nodes) + gives_up
+    counts = np.bincount(pair_node, minlength=n_nodes)
+    if leaving.any():  # giving up is first in its node, so that it wins ties
+        nodes = (np.bincount(node_of[leaving], minlength=n_nodes) > 0).nonzero()[0]
+        pairs = np.insert(pairs, offsets_of(counts)[nodes], GIVE_UP_CODE)
+        counts[nodes] += 1
     offsets = offsets_of(counts).astype(np.int32)
-    pair_at = np.full(int(offsets[-1]), GIVE_UP_CODE, dtype=np.int32)
-    acting = np.ones(len(pair_at), dtype=np.bool_)
-    acting[offsets[:-1][gives_up > 0]] = False  # first in its node, so that it wins ties
-    pair_at[acting] = pairs
     return Quotient(
         model=model,
         dead=dead,
@@ -332,7 +340,7 @@ def _quotient_with_pairs(
         n_nodes=n_nodes,
         inside=inside,
         merged=merged,
-        pair_at=pair_at,
+        pair_at=pairs,
         pair_node=segment_ids(offsets),
         pair_offsets=offsets,
     )

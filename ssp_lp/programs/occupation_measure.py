@@ -148,8 +148,7 @@ class OccupationMeasure:
         augmented = self.program.augmented
         if augmented.copies == 1:
             return 0.0
-        ends = np.array([augmented.copies - 1, augmented.copies]) * augmented.width
-        last = slice(*np.searchsorted(augmented.part.pairs, ends))
+        last = augmented.part.pairs // augmented.width == augmented.copies - 1
         return float(self.program.process.goal[last] @ self.visits[last])
 
     @property
@@ -466,7 +465,7 @@ def _decomposed(
     excess = (followed - visits - subtracted)[taken] / often[taken]
     wrong = max(float(excess.max(initial=0.0)), remaining)
     if wrong > _WRONG:
-        raise SolverError(f"no lottery has the program's visits to within {wrong:.1e}")
+        raise SolverError(f"the lottery misses the program's visits by {wrong:.1e}: use solve()")
     total = np.sum(weights)
     return tuple(members), np.array(weights) / total, followed / total
 

@@ -454,7 +454,7 @@ class OccupationProgram(Report):
             except InfeasibleError as error:
                 return error
         return InfeasibleError(
-            "no expected visits satisfy all rows of the program: call its conflict() for the rows "
+            "no expected visits satisfy all rows of the program: program.conflict() names the rows "
             "that contradict each other",
             failure_budget=self.bounds.get("failure"),
             least_failure=float("nan"),

@@ -71,7 +71,7 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
             rounds += 1
             size = f"{part.n_expanded:,} states explored in {rounds} rounds"
             progress = f"{size}{_bound_in_words(solution)}"
-            _LOG.info("%s, %d wanted", progress, wanted.size)
+            _LOG.info("%s, %d to expand next", progress, wanted.size)
             if not wanted.size:
                 final, progress = solution, size
             elif deadline.is_past():
@@ -152,7 +152,7 @@ def _even_at_best(error: InfeasibleError) -> InfeasibleError:
     The whole model is infeasible too, since the part assumes the best that its bounds allow.
     """
     return InfeasibleError(
-        f"even if unexplored states attain their bounds: {error}",
+        f"infeasible even if unexplored states attain their bounds: {error}",
         failure_budget=error.failure_budget,
         least_failure=1.0,
         least_discounted_failure=None if error.least_discounted_failure is None else 1.0,

@@ -492,7 +492,7 @@ def certificate_of(solution: Solution) -> list[bytes]:
     problem = solution.problem
     check_not_rounded(problem.tracked.model, "a certificate file")
     if solution.run.deterministic and problem.failure_budget is not None:
-        raise _refused(problem, f"deterministic optimality needs a search tree{_IN_MEMORY}")
+        raise _refused(problem, f"the best deterministic policy is not covered{_IN_MEMORY}")
     statement = Statement(problem)
     question, answer, done = statement.question, None, dict[str, Bounds]()
     if question["quantile"] is not None:

@@ -480,7 +480,7 @@ def _exported_labels(
 ) -> Mapping[str, IntArray]:
     """Return the labels of an exported model, including "init", "deadlock", "goal" and "paying"."""
     if isinstance(start, Mapping):
-        raise ModelError("the file needs one start state: name one, or add a state that draws it")
+        raise ModelError("the file needs one start: name a state, or add one that draws the start")
     goals = np.flatnonzero(model.goal_mask)
     labels = {
         INITIAL: np.array([model.index_of(start)]),
