@@ -377,9 +377,9 @@ class _Tree:
         The search ends if the result equals ``price``.
 
         Args:
-            price: the price of the last step.
-            inside: the last column that satisfies the budget, or None.
-            outside: the last column that violates it, or None.
+            price: the price that was tried last.
+            inside: the latest column that satisfies the budget, or None.
+            outside: the latest column that violates the budget, or None.
         """
         row, least = self.row, _LEAST_PRICE * self.price
         if inside is None:
