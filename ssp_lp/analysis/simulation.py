@@ -204,7 +204,7 @@ class ModelSimulator:
 
     @cached_property
     def _stated(self) -> tuple[IntArray, FloatArray]:
-        """State before the product, for each state, [states]; and cost, for each outcome."""
+        """For each state, its state in the original model; for each outcome, its original cost."""
         model, stated = self.model, self.model if self.stated is None else self.stated
         state: IntArray = np.arange(model.n_states)
         outcome: IntArray = np.arange(model.n_outcomes)

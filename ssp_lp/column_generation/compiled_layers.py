@@ -604,7 +604,7 @@ class CompiledLayered(CompiledProblem):
         return replace(self, cap=wanted, tails=tails)
 
     def charging(self, charge: Charge, cap: float | None = None) -> CompiledLayered:
-        """Return the problem with another charge and cap; neither charge may be exponential."""
+        """Return the problem with another charge and cap; not for exponential utilities."""
         return replace(self, charge=charge, cap=cap)
 
     def safest(self) -> CompiledLayered:
