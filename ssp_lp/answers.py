@@ -253,7 +253,7 @@ def solve_many(
         [3.0, 2.0]
     """
     if isinstance(problems, Problem):
-        raise ModelError("solve_many takes several problems: pass a list, or call solve")
+        raise ModelError("solve_many() takes several problems: pass a list, or call solve")
     began, asked = time.perf_counter(), [*problems]
     for problem in asked:
         check_problem(problem, "solve_many")

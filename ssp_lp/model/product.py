@@ -363,7 +363,7 @@ def product(
     """
     check_model(model, "product")
     if not isinstance(memory, Memory):
-        raise ModelError(f"product takes a Memory after the model, not {memory!r}")
+        raise ModelError(f"product() takes a Memory after the model, not {memory!r}")
     check_whole("state_limit", state_limit)
     numbers, failing = dict[Hashable, int](), list[bool]()  # of memories, in the order of finding
     pair_of, names = segment_ids(model.outcome_offsets), model.states

@@ -928,7 +928,7 @@ def check_model(model: object, verb: str) -> None:
         ModelError: it is no model.
     """
     if not isinstance(model, SSP):
-        raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{holder_of(model, SSP)}")
+        raise ModelError(f"{verb}() takes an SSP, not {in_short(model)}{holder_of(model, SSP)}")
 
 
 class FlatModel:

@@ -348,7 +348,7 @@ def _check_quantity_names(verb: str, names: tuple[object, ...]) -> None:
     """Check that names are given one by one; else raise :class:`ModelError`."""
     for name in names:
         if not isinstance(name, Hashable):
-            raise ModelError(f"{verb} takes names one by one, {verb}('a', 'b'), not {name!r}")
+            raise ModelError(f"{verb}() takes names one by one, {verb}('a', 'b'), not {name!r}")
 
 
 def _quantity_number(value: object) -> float:
