@@ -299,7 +299,7 @@ class CostLaw:
 
     @cached_property
     def _live(self) -> LiveChain:
-        """The chains of the lottery's members as one chain, without nodes that lose the goal."""
+        """The chains of the lottery's members as one, without nodes that cannot reach the goal."""
         return LiveChain.of(self._chains, self._weights)
 
     @cached_property

@@ -266,7 +266,7 @@ class SimulationReport(Facts, ReadOnlyCopies):
 
     @property
     def note(self) -> str:
-        """Note on unfinished episodes, or on costs that only ``max_steps`` bounds; else empty."""
+        """Note on unfinished episodes, or on costs bounded by ``max_steps`` alone; else empty."""
         cut, steps = self.ends["unfinished"], f"{self.max_steps:,} steps"
         if cut:
             return f"costs are cut: {cut:,} episodes were unfinished after {steps}"

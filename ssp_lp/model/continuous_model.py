@@ -154,7 +154,7 @@ class Grid:
         """Return the position of each cell along each axis.
 
         Args:
-            cells: a number for each cell, in any shape.
+            cells: cell numbers, in any shape.
 
         Raises:
             ModelError: a number that no cell has.
