@@ -128,10 +128,11 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
             with WithIncumbent():
                 bound = least_failure_bound(inner)
                 solution = replace(solution, least_failure_bound=bound)
-        is_alone = problem.counts_totals and not problem.has_rows
-        if is_alone and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
+        if not problem.has_rows and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
             with WithIncumbent():
-                solution = replace(solution, policy=giving_up_where_lost(solution.policy))
+                policy = giving_up_where_lost(solution.policy)
+                if policy is not solution.policy:
+                    solution = replace(solution, policy=policy)
         if deadline.was_met:
             with WithIncumbent(), closing():
                 solution = incumbent.improving(solution)

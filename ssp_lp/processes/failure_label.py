@@ -189,7 +189,8 @@ def with_start(
         cost: cost of the pair of the source.
     """
     model, live_start = quotient.model, quotient.gather(start)
-    at_goal, at_dead = (float(start[ends].sum()) for ends in (model.goal_mask, quotient.dead))
+    at_goal = float(start[model.goal_mask].sum())
+    at_dead = float(start[quotient.dead].sum())
     if at_goal + at_dead == 0.0:
         return replace(process, start=live_start)
     n = quotient.n_nodes
