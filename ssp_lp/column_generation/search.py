@@ -328,7 +328,7 @@ class Master:
         return False
 
     def _price_success_at(self, ratio: float) -> None:
-        """Change the ratio, and lower the bound so that it stays valid: failure is at most 1."""
+        """Change the ratio, and lower the dual bound by the change, since failure is at most 1."""
         rise = ratio - self.rows.ratio
         self.bound -= max(rise if self.rows.by_goal else -rise, 0.0)
         self.rows = replace(self.rows, ratio=ratio)
@@ -393,8 +393,8 @@ def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOpt
 def certified(master: Master, row: FailureRow, generated: Generated, tolerance: float) -> Generated:
     """Return the result of a search whose only limit is on failure, with a certified bound.
 
-    If there is no time to prove the final bound, the best intermediate bound is used. Without one
-    the bound is -inf, with infinite values, from which a later certificate can prove a bound.
+    If there is no time to prove the final bound, the best intermediate bound is used. If there is
+    none, the bound is -inf, and the values are infinite: a later certificate can start from them.
 
     Args:
         master: the final master of the search.
@@ -621,8 +621,8 @@ def without_negligible_prices(
         prices: [rows].
         sizes: size of each row, [rows]: its bound or, for prices that prove a lower bound, the
             largest value of a policy in the row.
-        objective: a price is negligible if price times size is at most a share of this.
-        trifle: the share.
+        objective: the objective.
+        trifle: a price is negligible if price times size is at most this share of the objective.
     """
     return np.where(prices * sizes <= trifle * abs(objective), 0.0, prices)
 

@@ -60,7 +60,7 @@ def search_backwards(
     graph: tuple[IntArray, IntArray, IntArray], open_pairs: BoolArray, wanted: IntArray,
     states: IntArray, choice: IntArray | None = None, distance: IntArray | None = None,
 ) -> None:  # fmt: skip
-    """Search backwards from reached states, breadth-first, and close the pairs that lead to them.
+    """Search backwards from given states, breadth-first, and close the pairs that lead to them.
 
     A state is reached as soon as ``wanted`` of its pairs are closed. If ``wanted`` is 1, the search
     finds the states from which some pair may lead to a reached state. If ``wanted`` is the number
@@ -69,9 +69,9 @@ def search_backwards(
     Args:
         graph: offsets of each state's predecessors, [states + 1]; the predecessors, which are
             pairs, [entries]; and the state of each pair, [pairs].
-        open_pairs: pairs that are not closed, updated, [pairs].
-        wanted: number of pairs to close before a state is reached, updated, [states] int64.
-        states: the states from which the search begins.
+        open_pairs: pairs that are not closed yet; updated, [pairs].
+        wanted: number of pairs to close before a state is reached; updated, [states] int64.
+        states: the states from which the search begins, which are reached.
         choice: written: a pair by which each state is reached in the fewest steps; if there are
             several, the one with the lowest index, [states] int64.
         distance: zeros; written: steps from each reached state to ``states``, [states] int32.
@@ -335,7 +335,7 @@ def _not_entered(
     state: int, place: Array, end: Array, indices: Array, data: Array,
     number: Array, low: Array,
 ) -> np.int64:  # fmt: skip
-    """Return the next successor that the search has not found yet, or -1."""
+    """Follow a state's entries to a successor that the search has not found yet; -1: no more."""
     k, past, least = place[state], end[state], low[state]
     while k < past:
         successor, met = indices[k], number[indices[k]]

@@ -51,7 +51,7 @@ _Solve = Callable[[FloatArray, FloatArray | None, float], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Totals:
-    """Expected totals, as sums ``values + low``, with a bound of their error."""
+    """Expected totals, each the sum of two floats, ``values + low``, with a bound of the error."""
 
     values: FloatArray  # [states, rewards]
     low: FloatArray  # [states, rewards] rounding errors of the values

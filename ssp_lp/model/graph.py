@@ -127,7 +127,10 @@ def possible_steps(
 
 
 def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
-    """Decorate a function of a model: its result is stored with the model, arrays read-only."""
+    """Decorate a function of a model so that its result is computed once and stored with the model.
+
+    Arrays in the result become read-only.
+    """
 
     @wraps(find)
     def _fact(model: SSP) -> Fact:
@@ -152,10 +155,11 @@ def hopeless_states(model: SSP) -> BoolArray:
 
 
 def dead_ends(model: SSP) -> BoolArray:
-    """Return the dead-ends: hopeless states, in which a run ends without the goal, [states].
+    """Return the dead-ends: states in which a run ends without the goal, [states].
 
-    In a product with the failure label, dead-ends are only those hopeless states that end a run:
-    there a run may continue after failing.
+    In an ordinary model these are the hopeless states, from which no policy reaches the goal. In a
+    product with the failure label only some hopeless states are dead-ends, since in the others a
+    run may continue after failing.
     """
     label = model.failure_label
     return hopeless_states(model) if label is None else label.ended
@@ -179,9 +183,10 @@ def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
 def attention_states(model: SSP) -> BoolArray:
     """Return the states from which some policy surely avoids the goal, X_{d,or}, [states].
 
-    The greatest set of non-goal states each of which has no action or an action whose successors
-    all lie in the set (section 2.3); it contains the dead-ends. Computed as the complement of the
-    least set that contains the goal and every state all of whose actions may lead into the set.
+    They form the greatest set of non-goal states in which each state has no action, or an action
+    whose successors all lie in the set (section 2.3). Dead-ends belong to the set. The complement
+    is computed: the least set that contains the goals, and every state all of whose actions may
+    lead into the set.
     """
     open_pairs = np.ones(model.n_pairs, dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets)
@@ -200,7 +205,7 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
     Returns:
         A mask of the states, goals included, [states]; a mask of the pairs that never leave them,
         [pairs]; and the policy: for each state one of these pairs, which may lead nearer to the
-        goal, -1 at goals and elsewhere, [states].
+        goal, -1 at goals and outside the mask, [states].
     """
     hopeless = hopeless_states(model) if model.n_outcomes > _MANY_OUTCOMES else None
     return surely_ending(model, model.goal_mask, hopeless)
@@ -216,7 +221,8 @@ def surely_ending(
     Args:
         model: the graph.
         ends: states in which a run ends, [states].
-        hopeless: states from which no policy reaches one of ``ends``, [states]; None: not known.
+        hopeless: mask of the states from which no policy reaches one of ``ends``, [states]; None:
+            not known.
     """
     open_pairs = np.ones(len(model.pair_state), dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets) + ends  # so that ``ends`` are never closed
@@ -273,7 +279,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 
 
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
-    """Return the adjacency matrix of a graph for scipy, all of whose weights share one number."""
+    """Return the adjacency matrix of a graph for scipy: every weight is 1, stored once."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape, offsets = (len(offsets) - 1, len(offsets) - 1), narrow(offsets)
     return csr_of(weights, columns.astype(offsets.dtype, copy=False), offsets, shape)
@@ -281,14 +287,11 @@ def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
 
 @kept
 def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
-    """Return a pair of each state that may lead nearer to the goal, and the distance in steps.
-
-    Args:
-        model: the model.
+    """Return for each state a pair on a shortest path to a goal, and the length of the path.
 
     Returns:
-        The pairs, -1 at goals and where no goal can be reached, [states]; and the least numbers of
-        steps to a goal, [states].
+        The pairs, -1 at goals and where no goal can be reached, [states]; and the lengths in steps,
+        0 where there is no pair, [states].
     """
     distance = np.zeros(model.n_states, dtype=np.int32)
     return nearer_pairs(model, None, distance=distance, ends=model.goal_mask), distance
@@ -401,7 +404,7 @@ def drain(
 def _drain_one_by_one(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> IntArray:
-    """Continue :func:`drain` state by state until many states wait; return the waiting states."""
+    """Continue :func:`drain` one state at a time; if many states wait to be closed, return them."""
     before, waiting = model.predecessors, deque(closed_states.tolist())
     is_open, counts = open_pairs.data, open_counts.data  # faster entry by entry
     home_of, offsets = model.pair_state.data, before.offsets.data
@@ -421,7 +424,7 @@ def _drain_one_by_one(
 def close_pairs(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, pairs: IntArray
 ) -> IntArray:
-    """Close open pairs in place; return the states whose last open pair was closed."""
+    """Close open pairs, in place; return the states that have no open pair left."""
     open_pairs[pairs] = False
     state = model.pair_state[pairs]
     np.subtract.at(open_counts, state, 1)
@@ -430,7 +433,7 @@ def close_pairs(
 
 
 def end_marks(model: SSP) -> IntArray:
-    """Return the number of the end of a run in each state; -1: the run continues, [states].
+    """Return numbers that say how a run ends in each state; -1: the run goes on, [states].
 
     With k state labels in the model: 0 is the goal; 1 .. k are dead-ends with a label, numbered by
     their first label; k + 1 is a dead-end without a label; k + 2 is having given up.
@@ -446,9 +449,10 @@ def end_marks(model: SSP) -> IntArray:
 
 
 def stop_marks(model: SSP) -> IntArray:
-    """Return the number of the end of a run that the policy stops in a state, [states].
+    """Return numbers that say how a run ends if the policy stops it in each state, [states].
 
-    The numbers are those of :func:`end_marks`; k + 2 is having given up.
+    The number is that of :func:`end_marks` for having given up. In the dead-ends of a product with
+    the failure label, it is the number of the dead-end instead.
     """
     if model.failure_label is not None:
         return model.failure_label.stop_marks

@@ -50,12 +50,12 @@ Label = tuple[Hashable, Hashable]
 
 
 def _always_in_product(memory: Any) -> bool:
-    """Return True: by default reaching a goal is a success with every memory."""
+    """Return True: by default, reaching a goal is a success whatever the memory is."""
     return True
 
 
 def _never_in_product(memory: Any) -> bool:
-    """Return False: by default an episode fails with no memory."""
+    """Return False: by default, no value of the memory means that an episode has failed."""
     return False
 
 
@@ -87,7 +87,7 @@ class Memory:
     fails: Callable[[Any], bool] = _never_in_product
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` unless the attributes are functions of these arguments."""
+        """Raise :class:`ModelError` if a function of the memory does not accept its arguments."""
         check_fields(self)
 
 
@@ -117,9 +117,8 @@ class ProductStates(Sequence[Label]):
 class ProductSSP(SSP):
     """A model whose states are (state, memory); see :func:`product`.
 
-    A state has the actions of its original state, in their order, or no actions if the episode is
-    over: at a goal, at a goal of the original that the memory does not accept, or where the memory
-    fails.
+    A product state has the same actions as its original state, in their order. It has no actions if
+    the episode is over: at a goal (accepted by the memory or not), or where the memory fails.
     """
 
     original: SSP = field(kw_only=True)
@@ -180,17 +179,20 @@ class ProductSSP(SSP):
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Original outcome of each of the product's outcomes, all of them possible, [outcomes]."""
+        """Original outcome of each outcome of the product, [outcomes].
+
+        The product has no outcomes of probability 0.
+        """
         possible = np.flatnonzero(self.original.probabilities > 0.0)
         offsets = np.searchsorted(possible, self.original.outcome_offsets)
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the pairs of the product in given states for original pairs, [entries].
+        """Return the product's pair by which each given state takes an original pair, [entries].
 
         Args:
             states: states of the product, [entries].
-            pairs: original pairs, each belonging to the original of its state, [entries].
+            pairs: original pair to take in each of these states, [entries].
         """
         shift = self.pair_offsets[states] - self.original.pair_offsets[self.original_state[states]]
         return np.asarray(pairs + shift)
@@ -234,7 +236,7 @@ class ProductSSP(SSP):
             step = kept, state, self.action_of(pair), there, cost
             if (after := update(*step)) not in self.memory_number:
                 told = f"the step from {state!r} by {step[2]!r} to {there!r} at cost {cost:g}"
-                other = f"the memory {after!r}, which the product lacks: is it a step of the model?"
+                other = f"the memory {after!r}, unknown to the product: check that it is possible"
                 raise ModelError(f"{told} leads to {other}")
             return self.memory_number[after]
 
@@ -242,11 +244,11 @@ class ProductSSP(SSP):
         return self.at(successors, np.array(list(map(updated, *steps)), dtype=np.int64))
 
     def moved_by(self, pairs: IntArray, outcomes: IntArray) -> tuple[IntArray, IntArray]:
-        """Return the product's successor and outcome for each original outcome, [entries] each.
+        """Return the product's successor and the product's outcome of each step, [entries] each.
 
         Args:
-            pairs: pairs of the product, [entries].
-            outcomes: outcome of the original of each pair, [entries].
+            pairs: pair of the product that is taken, [entries].
+            outcomes: original outcome that occurs, [entries].
         """
         possible = np.cumsum(self.original.probabilities > 0.0)
         first = self.original.outcome_offsets[self.original_pair[pairs]]
@@ -255,7 +257,10 @@ class ProductSSP(SSP):
         return self.successors[place].astype(np.int64), place
 
     def places_of(self, state: Hashable) -> IntArray:
-        """Return the product's state with a label; for an original state, all its product states.
+        """Return the indices of the product's states with a label.
+
+        For a label (state, memory) this is one index; for a label of the original, all its product
+        states.
 
         Raises:
             ModelError: neither the product nor the original has a state with the label.
@@ -279,7 +284,7 @@ class ProductSSP(SSP):
 
     @cached_property
     def table(self) -> IntArray:
-        """State of the product for each state and memory, -1: none, [states, memories]."""
+        """Index of the product's state (state, memory); -1: none, [states, memories]."""
         table = np.full((self.original.n_states, len(self.memories)), -1, dtype=np.int64)
         table[self.original_state, self.labels.number] = np.arange(self.n_states)
         return read_only(table)
@@ -372,7 +377,7 @@ def product(
         return numbers[kept]
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the numbers of the memories after outcomes, [entries]."""
+        """Return the number of the memory after each outcome, given the one before, [entries]."""
         memories, moved = [*numbers], list[int]()
         for number, k in zip(before.tolist(), outcomes.tolist(), strict=True):
             state, action = names[int(model.pair_state[pair_of[k]])], model.action_of(pair_of[k])
@@ -381,7 +386,7 @@ def product(
         return np.array(moved, dtype=np.int64)
 
     def fails(states: IntArray, numbers: IntArray) -> BoolArray:
-        """Return whether an episode with a memory has failed, [entries]."""
+        """Return a mask of the memories with which an episode has failed, [entries]."""
         return np.array(failing, dtype=np.bool_)[numbers]
 
     begin = model.states if start is None else no_lone_string(start, "start")
@@ -394,7 +399,7 @@ def product(
     goal[refused] = [bool(memory.accepts(kept[k])) for k in number[refused].tolist()]
     refused &= ~goal
     if not goal.any():
-        raise ModelError("no run from the start reaches a goal with a memory that it accepts")
+        raise ModelError("no run from the start reaches a goal with an accepted memory")
     return ProductSSP(
         **fields,
         states=ProductStates(names, tuple(numbers), read_only(state), read_only(number)),
@@ -419,10 +424,10 @@ def unfold(
     Args:
         model: the model.
         begin: states in which episodes may begin, and the numbers of their memories.
-        after: function of the numbers of memories and of outcomes that returns the numbers of the
-            memories after these outcomes, [entries] each.
-        is_over: function of states and numbers of memories that says where an episode ends, even
-            though the model has actions there, [entries] each.
+        after: function (numbers of memories, outcomes) -> numbers of the memories after the
+            outcomes, [entries] each.
+        is_over: function (states, numbers of memories) -> mask of the entries at which an episode
+            ends even if the model has actions there, [entries] each.
         state_limit: greatest number of states of the product.
 
     Returns:
@@ -510,7 +515,9 @@ class HorizonSSP(ProductSSP):
     survive: tuple[str, ...] | None = field(kw_only=True, default=None)  # :func:`within_steps`
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """Return the states after one more step, "out of time" after the last one, [episodes].
+        """Return the states of the product after steps, [episodes].
+
+        After the last step the memory is "out of time", unless the reached state has no actions.
 
         Raises:
             ModelError: a step leads to a state that does not occur after so many steps.
@@ -528,19 +535,20 @@ def within_steps(
     start: Iterable[Hashable] | None = None,
     survive: bool | Iterable[str] = False,
 ) -> HorizonSSP:
-    """Return the model in which an episode fails unless it reaches the goal within some steps.
+    """Return the product in which an episode fails unless it reaches the goal within some steps.
 
-    It is the product with a memory that counts steps, built from arrays. A policy on it knows the
-    number of steps left; ``on_original`` lets it act on the model's states. With ``survive``, an
-    episode that takes all steps succeeds ("do not fall within 500 steps"). It fails if it reaches a
-    state without actions earlier, or a state with a label in ``survive``.
+    Its memory counts steps. A policy on the product knows the number of steps left; ``on_original``
+    lets it act on the model's states. With ``survive``, an episode that takes all steps succeeds
+    ("do not fall within 500 steps"). It fails if it reaches a state without actions earlier, or a
+    state with a label in ``survive``.
 
     Args:
         model: the model. If only surviving counts, its goal is a state that no action leads to.
         steps: number of steps; a goal reached with the last one counts.
         start: states in which episodes may begin; None: every state of the model.
-        survive: True: an episode that takes all steps has reached the goal. Or labels of states
-            that end an episode as a failure although they have actions.
+        survive: True: an episode that takes all steps succeeds. Labels of states: the same, and an
+            episode fails in a state with one of these labels although it has actions. False: only
+            reaching the goal is success.
 
     Returns:
         The product, with states (state, steps taken), and (state, "out of time") after the last
@@ -573,7 +581,7 @@ def within_steps(
         leaving = inside[source] & ~inside[model.successors] & (model.probabilities > 0.0)
         if leaving.any():
             state = model.states[int(source[int(np.argmax(leaving))])]
-            raise ModelError(f"state {state!r} can be left: states in survive must be absorbing")
+            raise ModelError(f"survive must name absorbing states, but state {state!r} can be left")
     begin = None
     if start is not None:
         begin = [model.index_of(state) for state in no_lone_string(start, "start")]

@@ -4,10 +4,10 @@ A node is one live state, or a maximal end component of pairs that cost nothing.
 component are free, so a process without a discount treats it as one state (mathematics, section 4).
 
 Visits of the quotient are mapped back to visits of the model's pairs. Flow may enter a component at
-one member and leave it at another, so moves between members must be added. From each member, flow
-goes to each exit member in proportion to the flow that leaves there, by a way of fewest steps. A
-policy that draws each pair in proportion to the resulting visits has exactly the visits of the
-process (paper, section 2.2).
+one member and leave it at another, so visits of moves between members are added. The flow that
+enters at a member is divided among all members in proportion to the flow that leaves there, and
+goes by ways of fewest steps. A policy that draws each pair in proportion to the resulting visits
+has exactly the visits of the process (paper, section 2.2).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
 class Quotient:
     """The nodes of a model and the pairs that leave them, sorted by node.
 
-    *Pairs* are those of the quotient, unless they are called model pairs.
+    *Pairs* are pairs of the quotient; pairs of the model are called model pairs.
     """
 
     model: SSP
@@ -95,7 +95,7 @@ class Quotient:
         return np.asarray(self.pair_at == GIVE_UP_CODE)
 
     def named(self, pair: int) -> tuple[Hashable, Hashable]:
-        """Return the state and action of a pair; giving up belongs to the node's first state."""
+        """Return the state and the action of a pair; for giving up, the first state of the node."""
         acting = int(self.pair_at[pair])
         if acting == GIVE_UP_CODE:
             return self.model.states[int(self.first_states[self.pair_node[pair]])], GIVE_UP
@@ -143,7 +143,7 @@ class Quotient:
 
     @cached_property
     def places(self) -> IntArray:
-        """Index in the quotient of each pair of the model, [model pairs]; -1: it is not there."""
+        """Index in the quotient of each pair of the model, [model pairs]; -1: no such pair."""
         place = np.full(self.model.n_pairs, -1, dtype=np.int32)
         acting = (self.pair_at >= 0).nonzero()[0]
         place[self.pair_at[acting]] = acting
@@ -172,7 +172,7 @@ class Quotient:
 
     @with_twin
     def positions(self, first: IntArray, choice: IntArray) -> IntArray:
-        """Translate choices in many layers to decisions on states.
+        """Translate choices of pairs, by node, to decisions on states, in many layers.
 
         Args:
             first: the pair of each node that has position 0, [nodes].
@@ -192,20 +192,32 @@ class Quotient:
             return places
         live, several = (self.node_of >= 0).nonzero()[0], max(CHUNK // max(len(offsets), 1), 1)
         nodes, own, last = self.node_of[live], self.pair_offsets[:-1], self.pair_offsets[1:] - 1
-        # the moves of a node's members depend on its pair alone
-        most = int(np.diff(self.pair_offsets).max(initial=1))
-        pairs = np.stack([self.pull_back(np.minimum(own + k, last)) for k in range(most)])
-        table = np.where(pairs < 0, pairs, pairs - offsets)[:, live].astype(places.dtype)
-        for begin in range(0, len(choice), several):
-            taken = (first + choice[begin : begin + several])[:, nodes] - own[nodes]
-            places[begin : begin + several, live] = table[taken, np.arange(len(live))]
+        shift, most = first - own, int(np.diff(self.pair_offsets).max(initial=1))
+        parts = [slice(begin, begin + several) for begin in range(0, len(choice), several)]
+        seen, table = np.zeros(most, np.bool_), np.empty((most, len(live)), places.dtype)
+        for some in parts:
+            seen[choice[some] + shift] = True
+        for k in seen.nonzero()[0].tolist():
+            if k not in self._moves:  # they depend on the nodes' pairs alone
+                pairs = self.pull_back(np.minimum(own + k, last))[live]
+                own_pairs = np.where(pairs < 0, pairs, pairs - offsets[live])
+                self._moves[k] = own_pairs.astype(places.dtype)
+            table[k] = self._moves[k]
+        for some in parts:
+            taken = choice[some][:, nodes] + shift[nodes]
+            places[some, live] = table[taken, np.arange(len(live))]
         return places
+
+    @cached_property
+    def _moves(self) -> dict[int, IntArray]:
+        """Cache: by k, the positions of the live states if each node takes its pair k, [live]."""
+        return {}
 
     def pull_back(self, choice: IntArray) -> IntArray:
         """Translate one chosen pair per node to decisions on states.
 
-        In a collapsed component one member takes the chosen pair; the others move to that member at
-        no cost.
+        In a merged component one member takes the chosen pair; the other members move to its state
+        at no cost.
 
         Args:
             choice: chosen pair of each node, [nodes].
@@ -336,12 +348,12 @@ def _quotient_with_pairs(
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """The quotient without merged components, and the map of its pairs to the merged quotient.
+    """The quotient in which no component is merged, with a map of its pairs to the merged quotient.
 
     Methods use the merged quotient and count departures from its nodes. Programs that a user sees
-    have the pairs of the unmerged quotient and count their visits. Pairs within a component have no
-    visits in the merged quotient. Staying in a component for ever is giving up, which is possible
-    in each of its states.
+    use the unmerged quotient and count visits of its pairs, also of pairs within a component. A
+    policy that stays in a component for ever gives up; in the unmerged quotient each state of the
+    component has a pair for giving up.
     """
 
     quotient: Quotient  # of the same live states, none merged
@@ -349,7 +361,7 @@ class Spread:
     departs: FloatArray  # [its pairs] probability of departing from the merged node
 
     def per_taking(self, per_departure: FloatArray) -> FloatArray:
-        """Return amounts per visit of each unmerged pair, [pairs], from amounts per departure.
+        """Convert amounts per departure to amounts per visit of each unmerged pair, [pairs].
 
         Args:
             per_departure: [merged pairs].
@@ -357,7 +369,7 @@ class Spread:
         return np.where(self.place >= 0, per_departure[self.place] * self.departs, 0.0)
 
     def departures(self, visits: FloatArray) -> FloatArray:
-        """Return departures by each merged pair, [merged pairs], from visits of unmerged pairs.
+        """Convert visits of unmerged pairs to departures by each merged pair, [merged pairs].
 
         Args:
             visits: [pairs].
@@ -372,12 +384,12 @@ class Spread:
 
 
 def spread_out(quotient: Quotient, departs: FloatArray) -> Spread | None:
-    """Return the quotient without merged components and with self-loops, with the map to it.
+    """Return the unmerged quotient, with self-loops, and the map of its pairs to the merged one.
 
     The result is None if no component is merged and no self-loop was removed.
 
     Args:
-        quotient: the quotient.
+        quotient: the merged quotient.
         departs: probability that each pair departs from its node, [pairs] (see ``live_rows``).
     """
     if not quotient.merged.any() and (departs == 1.0).all():
@@ -414,7 +426,7 @@ def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
 
     Args:
         quotient: the quotient.
-        visits: expected visits of each pair, with repetitions by self-loops, [pairs].
+        visits: expected visits of each pair, [pairs]; each repetition by a self-loop counts.
     """
     acting = quotient.pair_at >= 0
     pairs = np.zeros(quotient.model.n_pairs)
@@ -426,10 +438,10 @@ def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
 
 
 def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> ModelFlow:
-    """Return a flow of the model with the moves within components added.
+    """Return a flow of the model, completed by the moves within merged components.
 
-    The giving up of a component is shared among its members in proportion to the flow that enters
-    them.
+    A component's amount of giving up is shared among its members, in proportion to the flow that
+    enters each of them.
 
     Args:
         quotient: the quotient.
@@ -451,14 +463,14 @@ def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> 
 def _flow_of_moves(
     quotient: Quotient, members: IntArray, entering: FloatArray, leaving: FloatArray
 ) -> FloatArray:
-    """Return the expected visits of the pairs inside collapsed components, [model pairs].
+    """Return the expected visits of the pairs inside merged components, [model pairs].
 
-    They lead the flow from the members where it enters to those where it leaves. One pass handles
-    one exit member of every component, which is possible because components do not overlap.
+    They lead the flow from the members where it enters to the members where it leaves. Components
+    do not overlap, so one pass handles one exit member of every component.
 
     Args:
         quotient: the quotient.
-        members: states of collapsed components.
+        members: states of merged components.
         entering: flow that enters each member from outside, [members].
         leaving: flow that leaves each member to the outside, [members].
     """
@@ -496,7 +508,7 @@ def _flow_of_moves(
 def decisions(
     quotient: Quotient, flow: ModelFlow, otherwise: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return the decisions of a randomised policy, with weights, from a flow of the model.
+    """Return the decisions of the randomised policy that a flow of the model describes.
 
     Args:
         quotient: the quotient.
@@ -504,8 +516,8 @@ def decisions(
         otherwise: decision in states without flow: a pair of the model or a code, [states].
 
     Returns:
-        Three arrays, [decisions] each: the state; the pair or GIVE_UP_CODE; and the flow, which is
-        1 in states without flow.
+        Three arrays, [decisions] each: the state; the pair or GIVE_UP_CODE; and the weight, which
+        is the flow, or 1 in states without flow.
     """
     model = quotient.model
     taken, giving = np.flatnonzero(flow.pairs > 0.0), np.flatnonzero(flow.give_up > 0.0)
