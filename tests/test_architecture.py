@@ -141,7 +141,7 @@ def test_the_page_on_architecture_has_this_order() -> None:
 
 def test_the_page_on_solving_lists_every_logger() -> None:
     page = (ROOT / "docs" / "solving.md").read_text(encoding="utf-8")
-    listed = re.search(r'such as "ssp_lp.search"\. Phases: ([\w\s,]+)\.', page)
+    listed = re.search(r'such as "ssp_lp.search"\. The phases are ([\w\s,]+)\.', page)
     assert listed is not None
     texts = [
         path.read_text(encoding="utf-8") for path in files_of("ssp_lp") + files_of("formulations")

@@ -49,9 +49,9 @@ def solve_with_highs(
     Args:
         backend: "highs-simplex" or "highs-ipx".
         time_limit: seconds.
-        basis: basis of an answer to a program of this shape, from which the simplex starts. Then it
-            stops after a limited number of steps, perhaps before the optimum, because a cold start
-            would be about as fast.
+        basis: basis of an answer to a program of this shape, from which the simplex starts. It then
+            stops after a limited number of steps, perhaps before the optimum: a start without a
+            basis would be about as fast as more steps.
 
     Raises:
         SolverError: HiGHS refuses an option or the model.
