@@ -110,7 +110,7 @@ def solve(
 
 
 def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) -> Solution:
-    """Solve a problem that is already unrolled, and check the answer."""
+    """Solve a problem, and check the answer."""
     solution: Solution | None = None
     too_large: ModelError | None = None
     incumbent, inner = Incumbent(problem, options.deterministic), problem
@@ -138,7 +138,8 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
             with WithIncumbent():
                 bound = least_failure_bound(inner)
                 solution = replace(solution, least_failure_bound=bound)
-        if not problem.has_rows and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
+        is_alone = problem.counts_totals and not problem.has_rows
+        if is_alone and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
             with WithIncumbent():
                 solution = replace(solution, policy=giving_up_where_lost(solution.policy))
         if deadline.was_met:
@@ -162,11 +163,13 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
         strictest = max(demanding, key=lambda limit: limit.least_goal)
         notes.append(_redundant_budget(inner.failure_budget, strictest))
     note, status = "; ".join(filter(None, notes)), deadline.status(solution.gap, tolerance)
+    if (note, status) == (solution.note, solution.status):
+        return solution
     return replace(solution, note=note, status=status)
 
 
 def _redundant_budget(budget: float | None, limit: Condition) -> str:
-    """Return a note on a failure budget that no policy within a limit uses up; else empty."""
+    """Return a note on a failure budget that a limit makes redundant, else an empty text."""
     least = limit.least_goal
     if budget is None or budget >= 1.0 or least <= 1.0 - budget + LEAST_BUDGET:
         return ""
@@ -194,7 +197,7 @@ def _check_solution(solution: Solution, deadline: float | None) -> None:
 
     Args:
         solution: the answer.
-        deadline: end of the time for evaluating its policy for its limits; None: no time is left.
+        deadline: time at which evaluating the policy's limits must end; None: it is not evaluated.
 
     Raises:
         SolverError: a probability outside [0, 1], a violated budget or limit, weights that are no

@@ -66,7 +66,7 @@ class Incumbent:
         """Find the incumbent if the problem has accumulated costs and time allows.
 
         Returns:
-            Itself; None: there is no incumbent.
+            This object, or None if no incumbent was found.
         """
         if self.solution is not None:
             return self
@@ -96,8 +96,8 @@ class Incumbent:
     def improving(self, other: Solution) -> Solution:
         """Return a stopped search's solution, with the incumbent's policy if that is better.
 
-        The bound of the cheapest way to the goal replaces the search's bound if it is better. The
-        prices and the value function of the search are kept.
+        The result has the prices and the value function of the search, and the tighter one of two
+        bounds: that of the search, and that of the cheapest way to the goal.
 
         Args:
             other: the solution of the search.
@@ -119,7 +119,7 @@ class Incumbent:
         return replace(best, lower_bound=min(max(other.lower_bound, bound), best.objective))
 
     def _cheapest_policy(self, problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:
-        """Return a nearly optimal lottery of case M within all limits; None: nothing is limited.
+        """Return a nearly optimal lottery of case M within all limits; None if there are no limits.
 
         Args:
             problem: the problem.
@@ -148,7 +148,9 @@ def _incumbent_value(
     room: float,
     judge: Callable[..., Evaluation] = evaluate,
 ) -> Solution | None:
-    """Return a policy of case M as a solution; None: it violates a limit or never reaches the goal.
+    """Return a policy of case M as a solution of a problem.
+
+    The result is None if the policy violates a limit or never reaches the goal.
 
     Args:
         problem: the problem.
@@ -258,9 +260,9 @@ def broken_limit(
 def worth_bound(problem: Problem) -> float:
     """Return a bound of the optimum from the cost of the cheapest way to the goal.
 
-    No run to the goal costs less, and charges do not fall when the total grows. So this is a lower
-    bound of a cost given success, its quantile or its tail mean. If the objective is maximised, it
-    is an upper bound.
+    No run to the goal costs less than the cheapest way, and charges do not fall when the total
+    grows. The result is a lower bound of a minimised objective (a cost given success, its quantile
+    or tail mean), and an upper bound of a maximised one.
 
     Args:
         problem: a problem with a cost given success, or a measure of its law.

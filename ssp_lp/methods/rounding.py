@@ -223,9 +223,9 @@ def _lattice_attempts(
 def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove a bound by split or rounded costs, from the model alone.
 
-    Units get smaller until the gap is within the tolerance, or as small as the solution's own gap.
-    That gap serves as a stopping rule alone. With split costs the proof also stops when a smaller
-    unit hardly improves the bound.
+    Units get smaller until the gap is within the tolerance, or hardly larger than the gap that the
+    solution claims. This claim only decides when to stop. With split costs the proof also stops
+    when a smaller unit hardly improves the bound.
 
     Args:
         solution: a solution of a problem with split or rounded costs.
@@ -262,7 +262,7 @@ def _split_proofs(
 
 
 def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
-    """Return the best lottery on the true model of the policies found with one unit."""
+    """Return the best lottery of policies found with one unit, evaluated on the true model."""
     row, least, columns, found = outcome.row, outcome.least, list[Column](), None
     pricing = outcome.compiled.pricing()
     pricing = pricing.counting_success() if row.by_goal else pricing
@@ -276,7 +276,7 @@ def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
         rows = Rows.of_failure(row.raised_to(safest), pricing)
         found = lottery_within(pricing, [*columns, safest], rows, ratio=True)
     if found is None:
-        raise SolverError("the policy of least failure never reaches the goal on the true model")
+        raise SolverError("the safest policy fails surely at unrounded costs: round the costs")
     return Answer(found.lottery(pricing), found.objective, 0.0, found.failure)
 
 
@@ -315,9 +315,10 @@ def _true_column(
 ) -> Column:
     """Evaluate on the true model a policy that was found with split costs.
 
-    There the policy remembers the cost paid rounded to the nearest level. Levels are multiples of
-    the unit, or of a fraction of it if the cheapest step would otherwise round to 0. A policy
-    without a step whose cost was split needs no evaluation: its runs are those with split costs.
+    On the true model the policy remembers the cost paid, rounded to the nearest level. Levels are
+    multiples of the unit or, if the cheapest step would round to 0, of a fraction of the unit. A
+    policy without a step whose cost was split needs no evaluation: its runs are those with split
+    costs.
 
     Args:
         problem: a problem of case S.
@@ -374,9 +375,9 @@ def _takes_split_costs(policy: Policy, outcome: Optimum[Any], model: SSP) -> boo
 def _columns_beside(problem: Problem, outcome: Optimum[Any], shift: float) -> list[Column]:
     """Return columns on both sides of the budget, evaluated on the true model.
 
-    The sweep of the first column also found policies of other failure probabilities. Rounding
-    changes the failure of all of them by about the same amount. So the policies are taken whose
-    failure, after this change, should be just below and just above the budget.
+    The sweep that found the first column also found policies of other failure probabilities.
+    Rounding changes all these failure probabilities by about ``shift``. The policies returned are
+    those whose failure plus ``shift`` lies just below or just above the budget.
 
     Args:
         problem: a problem of case S.
@@ -536,7 +537,7 @@ def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction
 
 
 def _span_of_steps(problem: Problem) -> float:
-    """Return the span of totals that split costs distinguish, without costs of last steps."""
+    """Return :func:`span_of_totals`, with only the costs of steps that do not end the episode."""
     return span_of_totals(problem, float(step_costs(problem.model)[1][-1]))
 
 
@@ -548,9 +549,10 @@ def split_optimum(
     most: int | None = None,
     reach: float = np.inf,
 ) -> Optimum[Any]:
-    """Return the optimum with costs split on a unit, or on a larger one if it has too many layers.
+    """Return the optimum with costs split on a unit, or on a larger unit to save layers.
 
-    If no larger unit has few enough layers either, accumulated cost is capped.
+    If the larger units that are tried have more than ``most`` layers, too, the accumulated cost is
+    capped.
 
     Args:
         problem: a problem of case S.
@@ -583,7 +585,6 @@ def split_optimum(
 
 
 def _unit_of(outcome: Optimum[Any]) -> Fraction:
-    """Return the cost unit of an optimum's process."""
     return cast("CompiledLayered", outcome.compiled).layer.base.exact_unit
 
 
@@ -699,11 +700,11 @@ def lattice_bound(
 def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     """Return a policy of the model with costs rounded up as a policy of the model itself.
 
-    It remembers the sum of the rounded costs. A policy without memory gets one layer, so that its
-    costs are evaluated as rounded, too.
+    The result remembers the sum of the rounded costs. A policy without memory gets one layer, so
+    that it is evaluated with rounded costs as well.
 
     Raises:
-        ModelError: its memory is not the cost paid.
+        ModelError: the policy has a memory other than the cost paid.
     """
     if isinstance(policy, CostAwarePolicy):
         return replace(policy, model=model, rounds_up=True)

@@ -52,7 +52,7 @@ if __name__ == "__main__":
             assert answer.objective == pytest.approx(known.objective, rel=1e-9)
             assert answer.gap <= 1e-9
         refused = {"start": start, "failure_budget": 0.8, "checkpoint": path}
-        with pytest.raises(ModelError, match=r"the checkpoint is of .*MCMP.*: name another"):
+        with pytest.raises(ModelError, match=r"checkpoint of .*MCMP.*: name another folder"):
             made.solve(MCMP, **refused)
         with pytest.raises(ModelError, match="must be a folder, and its parent must exist"):
             made.solve(MCMP, **asked, checkpoint=path / "nowhere" / "else")

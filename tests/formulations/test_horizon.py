@@ -401,7 +401,7 @@ def test_what_no_episode_reaches_in_time_has_probability_and_cost_nothing() -> N
             solve(MaxProb(model, "x", horizon=2, constraints={"e": end_probability(one) >= 0.1}))
     with pytest.raises(ModelError, match="has no action 'zz'; it has 'c'"):
         LeastQuantity(model, "x", secondary_cost({"far": {"zz": 1.0}}), horizon=1)
-    with pytest.raises(ModelError, match="'nowhere' is no way to end"):
+    with pytest.raises(ModelError, match="'nowhere' is neither an end"):
         LeastQuantity(model, "x", end_probability("nowhere"), horizon=1)
 
 

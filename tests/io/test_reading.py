@@ -84,7 +84,7 @@ def test_what_a_format_does_not_have_is_refused(tmp_path):
     refused(r"say in which state m\.umb begins", write_any, ALONE, tmp_path / "m.umb")
     refused(r"'m\.txt' must end in one of .*\.umb", write_any, ALONE, tmp_path / "m.txt", "g")
     drawn = {("s", 1): 0.5, "t": 0.5}
-    refused("the file needs one start state", write_any, AWKWARD, tmp_path / "m.drn", drawn)
+    refused("the file needs one start: name a state", write_any, AWKWARD, tmp_path / "m.drn", drawn)
     program = "dtmc\nconst int N;\nmodule m\n s : [0..N];\n [] s<N -> (s'=s+1);\nendmodule\n"
     (tmp_path / "m.pm").write_text(program, encoding="utf-8")
     found = read_any(tmp_path / "m.pm", ["s=N"], constants="N=3")

@@ -318,7 +318,7 @@ IN_PYTHON: list[tuple[Callable[[], Any], str]] = [
     (lambda: model([("depot", "home")]), "a model must be {state: {action:"),
     (lambda: model(state_labels={"crash": ["wrek"]}), "did you mean 'wreck'?"),
     (lambda: model(state_labels={"crash": "wreck"}), "labels['crash'] must be a set of"),
-    (lambda: model(state_labels={"goal": ["home"]}), "state label 'goal' is taken"),
+    (lambda: model(state_labels={"goal": ["home"]}), "state label 'goal' is reserved"),
     (lambda: MCMP(model(), "depo", 0.05), "did you mean 'depot'?"),
     (lambda: MCMP(model(), "depot", "5%"), "failure_budget must be a number or None, not '5%'"),
     (lambda: MCMP(model(), "depot", 0.05, give_up="never"), "'dead_ends'"),

@@ -371,7 +371,7 @@ def test_the_least_that_is_spent_may_be_that_of_giving_up():
     assert not frontier.complete  # nobody succeeds with none of it
     for fuel in (0.5, 1.0, 4.5):
         assert frontier.bounds_at(fuel) == pytest.approx((2.0, 2.0))
-    with pytest.raises(ModelError, match="was traced from"):
+    with pytest.raises(ModelError, match="was traced only from"):
         frontier.bounds_at(0.0)
 
 

@@ -117,7 +117,7 @@ def test_a_sweep_over_a_parameter():
     answers = solve_many(problems, executor=ThreadPoolExecutor(1))
     assert answers.objectives[1] == pytest.approx(solve(MCMP(road(0.1), "depot", 0.1)).objective)
     assert [row["crash"] for row in answers.tables()[0].records()] == [0.05, 0.1]
-    refused("'crsh'; did you mean 'crash'", sweep, MCMP, road(CRASH), "depot", 0.1, crsh=[0.1])
+    refused("an argument; did you mean 'crash'", sweep, MCMP, road(CRASH), "depot", 0.1, crsh=[0.1])
     refused("there are 'crash', 'model'", sweep, MCMP, road(CRASH), "depot", 0.1, wind=[0.1])
 
 

@@ -180,5 +180,5 @@ def test_an_action_of_a_longer_way_is_worse_by_its_reduced_cost():
 def test_what_cannot_be_explained_is_said():
     refused("has no decision in 'home': it is a goal", LOTTERY.explain, "home")
     aware = solve(S3P(DEPOT, "depot", failure_budget=0.05))
-    refused(r"at cost 77: choose 'depot' at cost 0", aware.explain, "depot", 77)
+    refused(r"at cost 77: ask for 'depot' at cost 0", aware.explain, "depot", 77)
     refused("not a linear program", solve(CVaR(DEPOT, "depot", 0.9)).explain, "depot")

@@ -453,4 +453,4 @@ def test_members_of_an_archive_that_are_not_known_are_not_unpacked(tmp_path, mon
     assert tracemalloc.get_traced_memory()[1] < 16 << 20
     tracemalloc.stop()
     monkeypatch.setattr(archives, "_LARGEST_HEADER", 100)
-    refused("a header of .* bytes, more than 100", load_model, tmp_path / "m.npz")
+    refused("its header has .* bytes, more than 100", load_model, tmp_path / "m.npz")
