@@ -20,7 +20,7 @@ __all__ = sorted(_ON_DEMAND)
 
 
 def __getattr__(name: str) -> object:
-    """Import a page on first use, so that the command line starts at once."""
+    """Import a criterion's module on first use, so that the command line starts at once."""
     if name not in _ON_DEMAND:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     member = getattr(import_module(_ON_DEMAND[name]), name)

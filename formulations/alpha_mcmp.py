@@ -1,4 +1,4 @@
-"""AlphaMCMP: minimum expected cost at a share of the greatest goal probability."""
+"""AlphaMCMP: minimum expected cost with at least a share of the greatest goal probability."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class AlphaMCMP(Formulation):
     """Minimise ``E[r_tau]`` subject to ``Pr(goal) >= reach_fraction * greatest probability``.
 
     Problem:
-        MCMP with a failure budget relative to the least attainable failure, so that it is feasible
-        for every share up to 1.
+        MCMP with a failure budget relative to the least attainable failure, so that every share up
+        to 1 is feasible. r_tau is the cost paid until the goal has become unreachable.
 
     Program:
         that of ``MCMP`` with ``failure_budget = 1 - reach_fraction * max Pr(goal)``.
@@ -25,7 +25,7 @@ class AlphaMCMP(Formulation):
         per goal probability.
 
     Semantics:
-        as published, giving up is allowed anywhere and costs nothing. ``MCMP(reach_fraction=...)``
+        as published: giving up is allowed anywhere and costs nothing. ``MCMP(reach_fraction=...)``
         is the same criterion and also takes a discount.
 
     Reference:
@@ -37,9 +37,9 @@ class AlphaMCMP(Formulation):
         start: a state, or ``{state: probability}``.
         reach_fraction: alpha in [0, 1].
         give_up: where a policy may give up: "anywhere", "attention" or "dead_ends".
-        charge_failing_step: charge the step at which failure is declared.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        charge_failing_step: whether the step at which failure is declared is charged.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least cost as ``objective``, a certified ``lower_bound``,

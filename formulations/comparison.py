@@ -44,10 +44,10 @@ class CriterionRow:
     def numbers(self) -> tuple[float | None, ...]:
         """Numbers of a compared criterion: objective, costs, failure probability and price.
 
-        Each row follows the semantics of its criterion. By default ``MCMP`` and ``ConstrainedCost``
-        charge the step at which failure is declared. The other criteria do not, so a policy may
-        cost less in their rows.
-        ``FinitePenalty`` and ``AlphaMCMP`` let a policy give up anywhere.
+        Rows are not comparable in every respect, since each follows the default semantics of its
+        criterion. ``MCMP`` and ``ConstrainedCost`` charge the step at which failure is declared.
+        The other criteria do not, so a policy may cost less in their rows. ``FinitePenalty`` and
+        ``AlphaMCMP`` let a policy give up anywhere.
         """
         solution = self.solution
         if solution is None:
@@ -115,11 +115,13 @@ def compare_criteria(
         failure_budgets: budgets of ``MCMP`` and ``S3P``, in addition to least failure.
         penalties: penalties D of ``FinitePenalty``, in units of cost.
         reach_fractions: shares of the greatest goal probability for ``AlphaMCMP``.
-        cost_bounds: bounds of ``CostBoundedReach``; a row without a budget and one for each budget.
-        levels: levels of ``CostQuantile`` and ``CVaR``; rows for least failure and for each budget.
+        cost_bounds: bounds of ``CostBoundedReach``; for each bound a row without a failure budget,
+            and one for each budget.
+        levels: levels of ``CostQuantile`` and ``CVaR``; for each level a row for least failure, and
+            one for each budget.
         exponential_utilities: pairs (risk factor, goal bonus) for ``EGUBS``.
-        limits: limits of ``ConstrainedCost``; rows for least failure and for each budget.
-        horizon: number of steps within which the goal counts, in every row; None: unlimited.
+        limits: limits of ``ConstrainedCost``; a row for least failure, and one for each budget.
+        horizon: greatest number of steps to the goal, in every row; None: unlimited.
         verbose: show progress (``ssp_lp.progress_shown``).
 
     Returns:

@@ -21,9 +21,10 @@ class ConstrainedCost(Formulation):
     """Minimise ``E[r_tau]`` subject to ``E[secondary cost k] <= bound k`` and a failure budget.
 
     Problem:
-        the cost of MCMP with any number of secondary costs, such as fuel, time or exposure, each
-        with an upper bound on its expected total; with a failure budget or with least failure. If
-        the goal can be reached surely, ``failure_budget=None`` is the C-SSP of Trevizan et al.
+        minimise r_tau, the cost paid until the goal has become unreachable, within a failure budget
+        or with least failure, as in MCMP. There may be any number of secondary costs, such as fuel,
+        time or exposure, each with an upper bound on its expected total. If the goal can be reached
+        surely, ``failure_budget=None`` is the C-SSP of Trevizan et al.
 
     Program:
         minimise <cost, x> subject to flow balance, <row_k, x> <= bound_k, <failure, x> <=
@@ -31,15 +32,15 @@ class ConstrainedCost(Formulation):
 
     Guarantee:
         the optimum is attained by a lottery over at most (active rows + 1) deterministic stationary
-        policies; ``prices`` holds the dual of each row by name: minus the slope of the optimal
-        cost in its bound. If no policy satisfies all rows, the error names rows that contradict
+        policies; ``prices`` holds the dual of each row by name: minus the slope of the optimal cost
+        in the row's bound. If no policy satisfies all rows, the error names rows that contradict
         each other and carries a proof.
 
     Semantics:
         every secondary cost is counted like the cost: until failure is declared, and discounted if
-        a discount is given. With ``charge_failing_step``, failing in a state is also charged the
-        state's least secondary cost. Policies that pay any of the costs for ever are excluded. With
-        least failure the limits choose among the policies of the greatest goal probability.
+        there is a ``discount``. With ``charge_failing_step``, failing in a state is also charged
+        the state's least secondary cost. Policies that pay any of the costs for ever are excluded.
+        With least failure the limits choose among the policies of the greatest goal probability.
 
     Reference:
         Trevizan, Thiebaux, Santana, Williams: Heuristic search in dual space for constrained
@@ -49,15 +50,15 @@ class ConstrainedCost(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``; the bounds hold in expectation.
-        limits: name -> ``CostLimit(cost, bound)``; the cost as ``{state: {action: cost}}`` (0 for
-            entries that are missing), or as an array by pair or by outcome.
+        limits: name -> ``CostLimit(cost, bound)``. The cost is ``{state: {action: cost}}``, in
+            which missing entries are 0, or an array with a cost for each pair or for each outcome.
         failure_budget: largest failure probability; None: as low as possible; 1: unlimited.
         discount: None for exact numbers, or gamma in (0, 1).
         give_up: where a policy may give up: "anywhere", "attention" (the paper) or "dead_ends".
-        charge_failing_step: charge the step at which failure is declared (the paper's section
-            3.1.2).
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        charge_failing_step: whether the step at which failure is declared is charged (the paper's
+            section 3.1.2).
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least cost as ``objective``, a certified ``lower_bound``,

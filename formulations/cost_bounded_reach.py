@@ -43,8 +43,8 @@ class CostBoundedReach(Formulation):
         cost_bound: greatest total cost, a number or a fraction, not negative.
         failure_budget: largest failure probability; None: as low as possible.
         cost_levels: greatest number of distinct total costs that the program counts; see ``S3P``.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the greatest probability as ``objective``, a certified

@@ -17,7 +17,7 @@ from ssp_lp.formulation import (
 )
 
 COST_BUDGET = "cost budget"
-"""Name of the row."""
+"""Name of the constraint on the expected cost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,23 +25,23 @@ class CostBudgetedMaxProb(Formulation):
     """Maximise the probability of reaching the goal subject to ``E[cost] <= cost_budget``.
 
     Problem:
-        max over policies of Pr(the goal is ever reached) among those whose expected total cost
-        until failure is declared is at most the budget: MAXPROB with a bounded resource, the same
-        as ``MaxProb(model, start, constraints={"cost budget": expected_cost() <= cost_budget})``
-        unless ``give_up`` says otherwise.
+        max of Pr(the goal is ever reached) over the policies whose expected cost until failure is
+        declared is at most the budget: MAXPROB with a bounded resource. The same problem is
+        ``MaxProb(model, start, constraints={"cost budget": expected_cost() <= cost_budget})``, with
+        the same ``give_up``.
 
     Program:
         minimise <failure, x> subject to flow balance, <cost, x> <= cost_budget, x >= 0, where x
-        counts the expected visits of each (state, action); the optimum is 1 - ``objective``.
+        counts the expected visits of each (state, action). This least failure is 1 - ``objective``.
 
     Guarantee:
         the optimum is attained by a lottery over at most (active rows + 1) deterministic stationary
-        policies. It is concave in the budget, and ``prices["cost budget"]`` is its slope.
+        policies. The optimum is concave in the budget, and ``prices["cost budget"]`` is its slope.
         ``upper_bound`` is certified. If every policy costs more, ``solve`` raises
         ``InfeasibleError``.
 
     Semantics:
-        that of ``MaxProb``: wandering for ever is failure. The cost is counted until failure is
+        as in ``MaxProb``, wandering for ever is failure. The cost is counted until failure is
         declared, in expectation over all runs, and giving up is not charged. ``give_up`` says where
         giving up is allowed:
 
@@ -53,7 +53,8 @@ class CostBudgetedMaxProb(Formulation):
         - "anywhere": in every state, at no cost (flows may vanish in any state), so that no budget
           is too small.
 
-        The greatest probability never falls from "dead_ends" to "attention" to "anywhere".
+        The greatest probability with "attention" is at least that with "dead_ends", and at most
+        that with "anywhere".
 
     Reference:
         Altman: Constrained Markov decision processes, 1999; Forejt, Kwiatkowska, Norman, Parker,
@@ -67,8 +68,8 @@ class CostBudgetedMaxProb(Formulation):
         cost_budget: the largest expected total cost, a number, finite and not negative.
         give_up: where a policy may give up, see above: "attention" (the paper), "dead_ends" or
             "anywhere".
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the greatest probability as ``objective``, a certified

@@ -25,9 +25,9 @@ class CostQuantile(Formulation):
     Program:
         for a bound B, minimise <late, x> / <goal, x> subject to flow balance, <failure, x> <=
         failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1), where late
-        counts the arrivals beyond B: the program of ``S3P`` with another charge. Its optimum falls
-        as B grows, and Newton's method finds the least B. For given prices, one sweep shows for
-        every B whether these prices prove that it is too small.
+        counts the arrivals beyond B: the program of ``S3P`` with another charge. The optimum
+        decreases in B, and Newton's method finds the least B whose optimum is at most 1 - level.
+        For given prices, one sweep shows which values of B these prices prove to be too small.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
@@ -37,7 +37,8 @@ class CostQuantile(Formulation):
     Semantics:
         exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. Without a
         budget (1.0) the optimum is the least cost with which the goal can be reached at all, since
-        all other runs may fail. The comparison has a relative slack of 1e-12.
+        all other runs may fail. The probability is compared with ``level`` at a relative tolerance
+        of 1e-12.
 
     Reference:
         quantiles: Baier, Daum, Dubslaff, Klein and Klueppelholz, NFM 2014; Randour, Raskin and
@@ -49,13 +50,13 @@ class CostQuantile(Formulation):
         level: strictly between 0 and 1.
         failure_budget: largest failure probability; None: as low as possible.
         cost_levels: greatest number of distinct total costs that the program counts; see ``S3P``.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least quantile as ``objective``, a certified
         ``lower_bound``, and a lottery over at most two policies. Among the lotteries with this
-        quantile it is one whose cost is most often within the quantile.
+        quantile, its cost is most often within the quantile.
 
     Raises:
         ModelError: a level or a budget that is not a number or out of range, or an unknown start.

@@ -17,10 +17,11 @@ class CVaR(Formulation):
         worst runs count.
 
     Program:
-        for a threshold z, minimise <integrand, x> / <goal, x> subject to flow balance, <failure,
-        x> <= failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1): the
-        program of ``S3P`` with a kink in the charge of an arrival. For every policy the minimum
-        over z is attained at its quantile, which is a total that can occur.
+        for a threshold z, minimise <integrand, x> / <goal, x> subject to flow balance, <failure, x>
+        <= failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1): the program
+        of ``S3P``, where an arrival at total cost c is charged the integrand, z + (c - z)^+ / (1 -
+        level). For every policy the minimum over z is attained at the policy's quantile, which is a
+        total that can occur.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
@@ -43,8 +44,8 @@ class CVaR(Formulation):
         level: at least 0 and below 1.
         failure_budget: largest failure probability; None: as low as possible.
         cost_levels: greatest number of distinct total costs that the program counts; see ``S3P``.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least conditional value at risk as ``objective``, a

@@ -28,8 +28,8 @@ class EGUBS(Formulation):
         end there, so that nothing is truncated; ``upper_bound`` is checked.
 
     Semantics:
-        exact. Wandering for ever is failure. Without a bonus the optimum is the stationary
-        risk-sensitive policy, and the horizon is 0.
+        exact. Wandering for ever is failure. Without a bonus the stationary risk-sensitive policy
+        is optimal, and ``cost_horizon`` is 0.
 
     Reference:
         Freire and Delgado, AAMAS 2017 (GUBS); Freire, Delgado and Reis, ICAPS 2019 (eGUBS and its
@@ -41,8 +41,8 @@ class EGUBS(Formulation):
         risk_factor: lambda < 0, per unit of cost.
         goal_bonus: K_g >= 0.
         cost_levels: greatest number of distinct total costs that the program counts; see ``S3P``.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the greatest expected utility as ``objective``, a certified

@@ -20,15 +20,15 @@ class FinitePenalty(Formulation):
         of ``MCMP``, without a failure row.
 
     Guarantee:
-        a deterministic stationary policy attains the optimum. ``failure_price`` is the penalty, and
-        the policy is optimal for ``MCMP`` with its own failure as the budget: the optimum is the
-        point at which a line of slope ``-penalty`` touches MCMP's frontier.
+        a deterministic stationary policy attains the optimum. ``failure_price`` is the penalty. The
+        policy is also optimal for ``MCMP`` if the budget is the policy's failure probability: the
+        optimum is the point at which a line of slope ``-penalty`` touches MCMP's frontier.
 
     Semantics:
         ``give_up`` and ``charge_failing_step`` as in ``MCMP``, by default as published: a policy
         may give up anywhere and pays only the penalty. With a ``discount`` the cost is discounted
-        and the penalty multiplies the discounted failure. ``expected_cost`` is the cost
-        without the penalty.
+        and the penalty multiplies the discounted failure. ``expected_cost`` is the cost without the
+        penalty.
 
     Reference:
         Kolobov, Mausam and Weld, UAI 2012 (fSSPUDE). Their Theorem 7, on its relation to the
@@ -40,10 +40,10 @@ class FinitePenalty(Formulation):
         penalty: paid for failing, a positive number.
         discount: None for exact probabilities, or gamma in (0, 1).
         give_up: where a policy may give up: "anywhere", "attention" or "dead_ends".
-        charge_failing_step: charge the step at which failure is declared, too.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
+        charge_failing_step: whether the step at which failure is declared is charged, too.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
         box: intervals of the probabilities; the worst case over all of them counts.
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has cost plus penalty as ``objective``, a certified

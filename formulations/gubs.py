@@ -42,8 +42,8 @@ class GUBS(Formulation):
         goal_bonus: K_g >= 0.
         utility_at_infinity: limit of the utility, and the worth of failing.
         cost_levels: greatest number of distinct total costs that the program counts; see ``S3P``.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the greatest expected utility as ``objective``, a certified

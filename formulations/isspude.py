@@ -16,9 +16,10 @@ class ISSPUDE(Formulation):
         goal probability first, and by the expected cost of their successful runs second.
 
     Program:
-        two stages. MAXPROB; then minimise ``<cost * Pmax(successor), x> / Pmax(start)`` over the
-        pairs that attain it. No accumulated cost is needed, since Pmax determines the worth of
-        every run.
+        two stages. The first computes Pmax, the greatest goal probability from each state
+        (MAXPROB). The second minimises ``<cost * Pmax(successor), x> / Pmax(start)`` over the pairs
+        that attain Pmax. No accumulated cost is needed, since Pmax says how probably a run in a
+        state succeeds.
 
     Guarantee:
         a deterministic stationary policy attains the optimum; ``lower_bound`` comes from checked
@@ -26,9 +27,9 @@ class ISSPUDE(Formulation):
 
     Semantics:
         the cost of failing runs does not matter. ``S3P(failure_budget=None)`` has the same optimum
-        and the same policies; ``S3P(failure_budget=...)`` relaxes the first stage to a budget.
-        S3P also allows any costs in dead-ends. ``MCMP`` with least failure shares the first stage;
-        its second stage also counts the cost of failing runs, up to the failure.
+        and the same policies; ``S3P(failure_budget=...)`` relaxes the first stage to a budget. S3P
+        also allows any costs in dead-ends. ``MCMP`` with least failure shares the first stage; its
+        second stage also counts the cost of failing runs, up to the failure.
 
     Reference:
         Kolobov, Mausam and Weld, UAI 2012; Teichteil-Koenigsbuch, AAAI 2012 (S3P).
@@ -36,8 +37,8 @@ class ISSPUDE(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least cost given success as ``objective``, a certified

@@ -13,7 +13,7 @@ class LeastQuantity(Formulation):
 
     Problem:
         min over policies of ``quantity``: a sum of multiples of secondary costs, visits of states
-        and probabilities of ends. A negative weight makes an end likely.
+        and probabilities of ends. An end with a negative weight is made likely.
 
     Program:
         minimise <quantity, x> subject to flow balance, <failure, x> <= failure_budget, <row_k, x>
@@ -24,9 +24,9 @@ class LeastQuantity(Formulation):
         optimum; ``lower_bound`` is certified.
 
     Semantics:
-        that of ``MCMP``, with the quantity in place of the cost; by default giving up adds nothing.
-        If an end has a negative weight, failing is declared only on giving up or entering a
-        dead-end.
+        as in ``MCMP``, with the quantity in place of the cost; by default giving up adds nothing to
+        the quantity. If an end has a negative weight, failing is declared only on giving up or
+        entering a dead-end.
 
     Reference:
         Altman: Constrained Markov decision processes, 1999.
@@ -38,10 +38,10 @@ class LeastQuantity(Formulation):
         failure_budget: largest failure probability; None: as low as possible; 1: unlimited.
         discount: None for exact numbers, or gamma in (0, 1).
         give_up: where a policy may give up: "anywhere", "attention" (the paper) or "dead_ends".
-        charge_failing_step: charge the step at which failure is declared (the paper's section
-            3.1.2).
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        charge_failing_step: whether the step at which failure is declared is charged (the paper's
+            section 3.1.2).
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least value as ``objective``, a certified ``lower_bound``,

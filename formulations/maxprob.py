@@ -17,7 +17,7 @@ class MaxProb(Formulation):
 
     Program:
         minimise <failure, x> subject to flow balance, x >= 0, on the process in which every closed
-        end component is collapsed into one place; the optimum is 1 - ``objective``.
+        end component is collapsed into one state. This least failure is 1 - ``objective``.
 
     Guarantee:
         one deterministic stationary policy attains the greatest probability from every state.
@@ -37,11 +37,11 @@ class MaxProb(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
-        give_up: where a policy may give up: "anywhere", "attention" (the paper) or "dead_ends". It
-            makes a difference only with limits.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
+        give_up: where a policy may give up: "anywhere", "attention" (the paper) or "dead_ends". The
+            argument matters only if there are constraints.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
         box: intervals of the probabilities; the worst case over all of them counts.
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the greatest probability as ``objective``, a certified

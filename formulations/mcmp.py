@@ -12,24 +12,24 @@ class MCMP(Formulation):
     """Minimise ``E[r_tau]`` subject to ``failure probability <= failure_budget`` (case M).
 
     Problem:
-        r_tau is the cost paid until the goal has become unreachable under the policy, all of it
-        if the goal is reached (paper, eq. JMCMP_def and section 2.5; min-cost given max-prob of
+        r_tau is the cost paid until the goal has become unreachable under the policy, all of it if
+        the goal is reached (paper, eq. JMCMP_def and section 2.5; min-cost given max-prob of
         Trevizan et al. 2017 at ``failure_budget=None``).
 
     Program:
-        minimise <cost, x> subject to flow balance, <failure, x> <= failure_budget, x >= 0, where
-        x counts the expected visits of each (state, action) labelled s of section 3.1.2.
+        minimise <cost, x> subject to flow balance, <failure, x> <= failure_budget, x >= 0, where x
+        counts the expected visits of each (state, action) before failure is declared (label s of
+        section 3.1.2).
 
     Guarantee:
-        the optimum is attained by a lottery over at most two deterministic stationary policies;
-        the dual of the failure row, ``failure_price``, is minus the slope of the optimal cost.
+        the optimum is attained by a lottery over at most two deterministic stationary policies; the
+        dual of the failure row, ``failure_price``, is minus the slope of the optimal cost.
 
     Semantics:
         ``give_up``: where a policy may declare failure (``GiveUp``); ``charge_failing_step``:
         whether the step at which failure is declared is paid. The defaults are the paper's,
         "attention" and True; with ``reach_fraction`` they are "anywhere" and False, as published
-        for alpha-MCMP.
-        With a ``discount`` both cost and failure are discounted (section 3.5).
+        for alpha-MCMP. With a ``discount`` both cost and failure are discounted (section 3.5).
 
     Reference:
         paper, sections 2.4, 2.5 and 3.1.2; Trevizan, Teichteil-Koenigsbuch and Thiebaux, UAI 2017
@@ -42,19 +42,19 @@ class MCMP(Formulation):
         discount: None for exact probabilities, or gamma in (0, 1).
         give_up: where a policy may give up: "anywhere", "attention" (the paper) or "dead_ends";
             None: the default under Semantics.
-        charge_failing_step: charge the step at which failure is declared (the paper's section
-            3.1.2); None: the default under Semantics.
-        reach_fraction: instead of a budget, the least share of the greatest goal probability (of
-            the undiscounted one, also under a discount).
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        charge_failing_step: whether the step at which failure is declared is charged (the paper's
+            section 3.1.2); None: the default under Semantics.
+        reach_fraction: instead of a budget, the least share of the greatest goal probability
+            (undiscounted even if there is a ``discount``).
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least cost as ``objective``, a certified ``lower_bound``,
         the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
-        ModelError: a budget, a share or a discount out of range, both a budget and a share, an
+        ModelError: a budget, a share or a discount out of range, a budget and a share at once, an
             unknown start or ``give_up``.
 
     Example:

@@ -15,8 +15,8 @@ class MinCost(Formulation):
         min over proper policies, those that reach the goal with probability one, of E[total cost].
 
     Program:
-        minimise <cost, x> subject to flow balance, x >= 0, over the pairs that keep the goal sure:
-        the greatest set of states in which the goal can be reached without ever leaving the set.
+        minimise <cost, x> subject to flow balance, x >= 0, over the pairs that never leave the set
+        of states from which the goal can be reached surely.
 
     Guarantee:
         a deterministic stationary policy attains the optimum; ``lower_bound`` comes from a checked
@@ -25,8 +25,8 @@ class MinCost(Formulation):
 
     Semantics:
         exact. If no proper policy exists from the start, ``solve`` raises an error; ``evaluate``
-        gives an improper policy the objective infinity. Whether a policy is proper is
-        decided on the graph, so no probability is ever compared with 1.
+        gives an improper policy the objective infinity. Whether a policy is proper is decided on
+        the graph, so no probability is ever compared with 1.
 
     Reference:
         Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991.
@@ -34,9 +34,9 @@ class MinCost(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
+        constraints: name -> constraint on a quantity; see ``Formulation``.
         box: intervals of the probabilities; the worst case over all of them counts.
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least cost as ``objective``, a certified ``lower_bound``,

@@ -35,8 +35,8 @@ class MinProb(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least probability as ``objective``, a certified

@@ -24,8 +24,8 @@ class S3P(Formulation):
 
     Program:
         minimise <cost, x> / <goal, x> subject to flow balance and <failure, x> <= budget over
-        states x accumulated cost (section 3.1.1): the accumulated cost is charged on arrival at
-        the goal. By Charnes and Cooper's scaling it is a linear program.
+        states x accumulated cost (section 3.1.1): the accumulated cost is charged on arrival at the
+        goal. By Charnes and Cooper's scaling it is a linear program.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
@@ -33,8 +33,9 @@ class S3P(Formulation):
 
     Semantics:
         failing episodes cost nothing, so giving up needs no charge: a policy fails by avoiding the
-        goal in attention states. Accumulated cost is tracked up to a cap M; beyond it policies
-        follow tail policies (section 3.5). M grows until the certified gap meets the tolerance.
+        goal in attention states. Accumulated cost is tracked up to a cap M; beyond M a policy
+        follows one of its stationary tail policies (section 3.5). M grows until the certified gap
+        meets the tolerance.
 
     Reference:
         Teichteil-Koenigsbuch, AAAI 2012 (S3P); paper, sections 2.3, 2.5 and 3.1.1.
@@ -45,21 +46,22 @@ class S3P(Formulation):
         failure_budget: largest failure probability; None: as low as possible.
         discount: None for exact probabilities, or gamma in (0, 1).
         cost_cap: fixed cap M on accumulated cost; None: M grows as described under Semantics.
-        reach_fraction: instead of a budget, the least share of the greatest goal probability (of
-            the undiscounted one, also under a discount).
+        reach_fraction: instead of a budget, the least share of the greatest goal probability
+            (undiscounted even if there is a ``discount``).
         cost_levels: greatest number of distinct total costs that the program counts; None: as many
             as costs and tolerance require. If costs have no common unit, the totals are all sums
-            that can occur or, if these are too many, a grid, which leaves a reported gap.
-        constraints: name -> constraint on a quantity, any number (``Formulation``).
-        horizon: number of steps within which the goal counts (``Formulation``); None: unlimited.
+            that can occur. If these are too many, totals are rounded to a grid; the gap that this
+            leaves is reported.
+        constraints: name -> constraint on a quantity; see ``Formulation``.
+        horizon: greatest number of steps to the goal; a longer episode fails; None: unlimited.
 
     Returns:
         the problem; its solution has the least cost given success as ``objective``, a certified
         ``lower_bound``, the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
-        ModelError: a budget, a share, a discount or a cap out of range, both a budget and a share,
-            or an unknown start.
+        ModelError: a budget, a share, a discount or a cap out of range, a budget and a share at
+            once, or an unknown start.
 
     Example:
         >>> from ssp_lp import SSP, solve

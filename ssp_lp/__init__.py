@@ -18,10 +18,11 @@ __all__ = sorted(_ON_DEMAND)
 
 
 def _add_formulations() -> None:
-    """Make the criteria importable: a wheel holds them inside the package, a checkout beside it.
+    """Make the modules of ``formulations`` importable as ``ssp_lp.formulations``.
 
-    The modules have the same names in both cases. So a pickle that was written with a wheel can be
-    read in a checkout, and another package called ``formulations`` does no harm.
+    A wheel contains them inside the package, and a checkout has them beside it. The modules have
+    the same names in both cases. So a pickle that was written with a wheel can be read in a
+    checkout, and another package called ``formulations`` does no harm.
     """
     inner = f"{__name__}.formulations"
     if find_spec(inner) is None:

@@ -121,11 +121,9 @@ class Answers(Report):
     seconds: float  # wall clock, in total
 
     def __len__(self) -> int:
-        """Return the number of problems."""
         return len(self.problems)
 
     def __iter__(self) -> Iterator[Answer]:
-        """Yield the answers in the order of the problems."""
         return iter(self.answers)
 
     def __getitem__(self, place: int) -> Answer:
@@ -147,9 +145,9 @@ class Answers(Report):
     def tables(self) -> list[Table]:
         """Return a table with a row for each problem; its text shows the first rows and the errors.
 
-        Columns: criterion, each argument that differs (models by their numbers), then objective,
-        bound (certified), gap, failure (discounted if the problem is), price, seconds, the status
-        or the class of the error, and the error's message.
+        The columns are the criterion; each argument that differs between problems (models are
+        numbered); and objective, certified bound, gap, failure (discounted if the problem is),
+        price, seconds, status or class of the error, and message of the error.
         """
         asked = self._asked()
         stated = zip(*asked.values(), strict=True)
@@ -166,7 +164,7 @@ class Answers(Report):
         return f"Answers({len(self):,}{failed}, {self.seconds:.3g} s)"
 
     def _asked(self) -> dict[str, list[Any]]:
-        """Return the arguments that differ between the answers' problems, by name."""
+        """Return the arguments that differ between problems, name -> [problems]."""
         numbers: dict[int, int] = {}  # id of a model -> number of models before it
         rows: list[dict[str, Any]] = []
         for problem in self.problems:
@@ -188,7 +186,7 @@ _FRAME_ONLY = "bound", "gap", "seconds", "error"  # columns that are not printed
 
 
 def _plain(value: Any) -> Any:
-    """Return an argument of a problem in the form that a table shows."""
+    """Return an argument of a problem as a table shows it: long values shortened."""
     return value if value is None or isinstance(value, str) or is_number(value) else in_short(value)
 
 
@@ -282,7 +280,7 @@ def _answers_to(
     workers: int,
     progress: Callable[[int, Answer], None] | None,
 ) -> tuple[Answer, ...]:
-    """Return the answers of ``solve_many``, in order.
+    """Return the answers of ``solve_many``, in the order of the problems.
 
     Raises:
         ModelError: a model that cannot be pickled.
@@ -332,7 +330,10 @@ class _Order(NamedTuple):
 
 
 def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
-    """Return a worker's answer to a problem, packed; None if it cannot read the shipment's file."""
+    """Solve a packed problem in a worker and return the packed answer.
+
+    None if the worker cannot read the file of models.
+    """
     try:
         cargo = unloaded(shipment)
     except OSError:
@@ -352,12 +353,12 @@ def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
 
 
 class _Crew:
-    """Workers: the executor that was given, or processes of joblib, replaced when one dies."""
+    """Workers: the given executor, or processes of joblib, which are replaced when one dies."""
 
     def __init__(
         self, given: Executor | None, count: int, cargo: Cargo, shipment: Shipment, order: _Order
     ) -> None:
-        """Start the processes if no executor is given, without waiting for them.
+        """Start the processes, without waiting for them, unless an executor is given.
 
         Args:
             given: the executor.
@@ -378,11 +379,10 @@ class _Crew:
         self._finished: SimpleQueue[Future[bytes | None]] = SimpleQueue()
 
     def __enter__(self) -> _Crew:
-        """Return the crew itself."""
         return self
 
     def __exit__(self, *raised: object) -> None:
-        """Shut down the built-in pool; free the models that threads of another executor hold."""
+        """Shut down the built-in pool, and release the models that threads of an executor hold."""
         unloaded.cache_clear()  # of threads
         if raised[0] is not None:
             self._end()
@@ -396,14 +396,14 @@ class _Crew:
     def collect(
         self, packed: Mapping[int, bytes], record: Callable[[int, Answer], None]
     ) -> SSPError:
-        """Send out the problems and report answers until all have arrived or the call must end.
+        """Send out the problems and record answers until all have arrived or the call must end.
 
         Args:
             packed: place -> problem.
             record: called with each place and its answer.
 
         Returns:
-            The error that answers each problem without an answer.
+            The error to record for each problem that has no answer.
 
         Raises:
             SolverError: no process could be started, or the executor accepts no problem.
@@ -433,7 +433,7 @@ class _Crew:
         return OutOfTimeError(_TOO_LATE)
 
     def _end(self) -> None:
-        """End the built-in processes at once; another executor finishes what it has begun."""
+        """End the built-in processes at once; a user's executor finishes problems in progress."""
         for future in self._running:
             future.cancel()
         if self._is_own:
@@ -441,7 +441,10 @@ class _Crew:
             self._executor.shutdown(kill_workers=True)
 
     def _submit_problems(self) -> None:
-        """Send the crew as many problems as it has room for; suspects of a crash are sent alone."""
+        """Submit problems as long as there is room for them.
+
+        A problem that may have crashed a process is submitted alone.
+        """
         running = self._running
         while not self._is_broken:
             alone = bool(self._suspects) or any(self._deaths[place] for place in running.values())
@@ -461,7 +464,7 @@ class _Crew:
             future.add_done_callback(self._finished.put)
 
     def _answer_of(self, place: int, future: Future[bytes | None]) -> Answer | None:
-        """Return the answer that came back from the crew; None: send the problem again."""
+        """Return the answer of a worker; None: the problem must be sent again."""
         error = CancelledError() if future.cancelled() else future.exception()
         if isinstance(error, BrokenExecutor):
             self._is_broken = True
@@ -495,7 +498,7 @@ class _Crew:
 
     @property
     def _error(self) -> SolverError:
-        """Error that answers the remaining problems if no worker can be started any more."""
+        """Error to record for the remaining problems if no worker can be started any more."""
         if not self._is_own:
             return SolverError("the executor broke or was shut down: pass a new one, or none")
         return SolverError(
@@ -511,6 +514,6 @@ class _Crew:
 
 
 def _prepare_worker() -> None:
-    """Make a worker of the crew ignore Ctrl-C and keep loaded objects out of garbage collection."""
+    """Prepare a worker: ignore Ctrl-C, and exempt loaded objects from garbage collection."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.freeze()  # joblib's processes collect garbage once a second

@@ -27,9 +27,9 @@ SINGLE_PRECISION_SUM: Final = 1e-5
 """Largest deviation from 1 that ``normalise=True`` corrects: of float32, or of few digits."""
 
 MAXIMISER: Final = 1e-12
-"""Relative distance to the best goal probability within which an action still counts as maximising.
+"""Relative distance to the best goal probability within which an action counts as optimal.
 
-Linear solves leave errors of 1e-15 to 1e-14. On the paper's robot 1e-16 loses true maximisers, and
+Linear solves leave errors of 1e-15 to 1e-14. On the paper's robot 1e-16 loses optimal actions, and
 1e-8 changes the least cost of the safest policies by 4e-4.
 """
 
@@ -39,12 +39,12 @@ LEAST_RISE: Final = 1e-300
 FAILURE_FLOOR: Final = 1e-15
 """Difference of two failure probabilities that counts as 0, as a share of the goal probability.
 
-Far from any hazard least failures are 1e-100 or 1e-233: a search for gains relative to these would
-not end, and no episode would show the difference. As a share of the goal probability the tolerance
-keeps all digits of rare goals, and of probabilities in components that are solved without
-subtractions. A policy is improved if it gains at least a tenth of the tolerance. Where cost decides
-among policies of equal failure, a step may lose a hundred times the tolerance, so that rounding
-does not decide which pairs are equal.
+Far from any hazard the least failure probability may be 1e-100 or 1e-233. A search for gains
+relative to these numbers would not end, and no episode would show the difference. The tolerance is
+relative to the goal probability, so that the digits of a rare goal are kept. A policy is improved
+if it gains at least a tenth of the tolerance. Where cost decides among policies of equal failure,
+a step may lose a hundred times the tolerance, so that rounding does not decide which pairs are
+equal.
 """
 
 LEAST_BUDGET: Final = 1e-10
@@ -54,23 +54,24 @@ IMPROVEMENT: Final = 1e-13
 """Relative gain below which policy iteration keeps an action: the accuracy of a refined solve."""
 
 QUANTILE: Final = 1e-12
-"""Relative slack with which a mass reaches a quantile's level.
+"""Relative difference within which a probability counts as equal to a quantile's level.
 
 Sums of the masses of many total costs have errors of 1e-15 to 1e-13. A total at which the sum
 reaches the level exactly must be found, because the next total may be much larger.
 """
 
 SAME_TOTAL: Final = 5e-13
-"""Relative difference within which a total cost equals its bound, if both are sums of costs.
+"""Relative difference within which two sums of costs count as equal.
 
 Sums of some thousand costs have relative errors of 1e-16 to 1e-13; a lattice with so many layers
 does not fit into memory.
 """
 
 BELOW_RATIO: Final = 1.0 - 2.5e-10
-"""Share of the optimal ratio: a price at which it is proved again if the budget may be slack.
+"""Factor of the optimal cost given success that gives a second price for its proof.
 
-At this lower price failing is strictly best, so that rounding does not matter
+If the budget is not used up, the price is this ratio, at which failing is as good as the optimum
+and rounding decides between them. At the slightly lower price failing is strictly best
 (``FailureRow.lower_bound``).
 """
 
@@ -80,9 +81,9 @@ RELATIVE_GAP: Final = 1e-9
 RESIDUAL: Final = 1e-6
 """Largest relative residual with which an LP backend's answer is accepted.
 
-The answer is only used for a first price. Policies are computed at this price and measured exactly,
-and the program's optimum must agree with them. Interior points after crossover leave up to 2e-7
-here.
+Only a first price is taken from this answer. Policies are computed at this price and measured
+exactly, and the program's optimum must agree with them. Interior points after crossover leave up to
+2e-7 here.
 """
 
 
@@ -109,7 +110,10 @@ class ReadOnlyCopies:
 
 
 def fields_of(record: Any, declared: Any) -> dict[str, Any]:
-    """Return a record's values, not copied, by the names of a dataclass's fields."""
+    """Return the values of a record, name -> value, for the fields of the dataclass ``declared``.
+
+    Values are not copied.
+    """
     return {part.name: getattr(record, part.name) for part in fields(declared)}
 
 
@@ -119,20 +123,23 @@ def least_integer_type(most: int) -> npt.DTypeLike:
 
 
 def narrow(offsets: IntArray) -> IntArray:
-    """Return an array of offsets in 32 bits where they fit, to match scipy's columns."""
+    """Return offsets as 32-bit integers if they fit, as scipy uses for columns."""
     fits = int(offsets[-1]) <= np.iinfo(np.int32).max
     return offsets.astype(np.int32, copy=False) if fits else offsets
 
 
 def unsigned(indices: IntArray) -> npt.NDArray[Any]:
-    """Return an array of non-negative whole numbers viewed as unsigned ones."""
+    """Return a view, as unsigned integers, of an array of whole numbers >= 0."""
     return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)
 
 
 def csr_of(
     data: FloatArray | BoolArray, indices: IntArray, indptr: IntArray, shape: tuple[int, int]
 ) -> sp.csr_array:
-    """Return scipy's sparse matrix of three consistent arrays, without scipy's checks of them."""
+    """Return the sparse matrix made of three arrays, without scipy's checks.
+
+    The arrays must be consistent, as arguments of ``scipy.sparse.csr_array``.
+    """
     matrix = copy(_NO_ROWS)
     vars(matrix).update(data=data, indices=indices, indptr=indptr, _shape=shape)
     return matrix
@@ -150,10 +157,12 @@ def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.i
 
 
 def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.int64], IntArray]:
-    """Return the entries ``offsets[k] : offsets[k + 1]`` of some segments, one after the other.
+    """Return the indices of the entries of some segments, one segment after the other.
+
+    Segment k has the entries ``offsets[k] : offsets[k + 1]``.
 
     Returns:
-        The entries, [entries], and the number of each segment's entries, [segments].
+        The indices, [entries], and the number of entries of each segment, [segments].
     """
     begins = offsets[segments]
     lengths = offsets[segments + 1] - begins
@@ -161,7 +170,10 @@ def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.in
 
 
 def offsets_of(lengths: IntArray) -> IntArray:
-    """Return the starts of adjacent segments, and the end of the last one, [segments + 1]."""
+    """Return the offsets of adjacent segments with given lengths, [segments + 1].
+
+    Segment k has the entries ``offsets[k] : offsets[k + 1]``.
+    """
     offsets = np.zeros(len(lengths) + 1, dtype=np.int64)
     np.add.accumulate(lengths, out=offsets[1:])
     return offsets
@@ -174,24 +186,29 @@ def sorted_unique(values: IntArray) -> IntArray:
 
 
 def run_starts(values: IntArray) -> BoolArray:
-    """Return a mask of the entries that differ from the entry before them."""
+    """Return a mask of the first entry, and of all entries that differ from the entry before."""
     begins = np.ones(values.size, dtype=np.bool_)
     np.not_equal(values[1:], values[:-1], out=begins[1:])
     return begins
 
 
 def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
-    """Return the segment ``offsets[k] : offsets[k + 1]`` that each entry lies in, [entries]."""
+    """Return for each entry the number of its segment, [entries].
+
+    Segment k has the entries ``offsets[k] : offsets[k + 1]``.
+    """
     return np.arange(len(offsets) - 1, dtype=np.int32).repeat(offsets[1:] - offsets[:-1])
 
 
 def drawn_in_segments(
     sums: FloatArray, begins: IntArray, ends: IntArray, rng: np.random.Generator
 ) -> IntArray:
-    """Draw one entry of each segment, with a probability proportional to it, [segments].
+    """Draw the index of one entry in each segment, [segments].
+
+    An entry is drawn with a probability proportional to its value.
 
     Args:
-        sums: running sums of the array's entries, after a leading 0, [entries + 1].
+        sums: running sums of the entries' values, after a leading 0, [entries + 1].
         begins: first entry of each segment, [segments].
         ends: entry after the last one of each segment, [segments].
         rng: draws a number for each segment.
@@ -201,7 +218,10 @@ def drawn_in_segments(
 
 
 def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
-    """Sum ``values`` over the segments ``offsets[k] : offsets[k + 1]``; empty segments give 0."""
+    """Return the sum of each segment's values, [segments]; 0 if the segment is empty.
+
+    Segment k has the entries ``offsets[k] : offsets[k + 1]``.
+    """
     result = np.zeros(len(offsets) - 1)
     filled = (offsets[1:] > offsets[:-1]).nonzero()[0]
     if filled.size:
@@ -210,7 +230,10 @@ def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
 
 
 def segment_minima(values: FloatArray, offsets: IntArray) -> FloatArray:
-    """Return the minimum of each segment ``offsets[k] : offsets[k + 1]``; infinite if empty."""
+    """Return the minimum of each segment's values, [segments]; infinite if the segment is empty.
+
+    Segment k has the entries ``offsets[k] : offsets[k + 1]``.
+    """
     result = np.full(len(offsets) - 1, np.inf)
     filled = (offsets[1:] > offsets[:-1]).nonzero()[0]
     if filled.size:
@@ -219,14 +242,20 @@ def segment_minima(values: FloatArray, offsets: IntArray) -> FloatArray:
 
 
 def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) -> IntArray:
-    """Return the position of the first minimal value, counted within each non-empty segment."""
+    """Return the index of the first least entry of each non-empty segment.
+
+    Args:
+        values: [entries].
+        minima: minimum of each segment, [segments].
+        offsets: segment k has the entries ``offsets[k] : offsets[k + 1]``, [segments + 1].
+    """
     segment = segment_ids(offsets)
     attained = np.flatnonzero(values <= minima[segment])
     return attained[np.flatnonzero(np.diff(segment[attained], prepend=-1))]
 
 
 def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return a weighted sum of an array's columns, without the threads of a matrix product.
+    """Return the weighted sum of an array's columns, [rows], without the threads of ``@``.
 
     Args:
         columns: [rows, columns]; few columns.
@@ -240,7 +269,9 @@ def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def weighted_rounding(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the rounding error of weighted sums relative to their terms; 0: exact, [rows].
+    """Return the rounding error of weighted sums, relative to the size of their terms, [rows].
+
+    It is 0 for sums that are exact.
 
     Args:
         columns: [rows, columns]; few columns.
@@ -257,7 +288,7 @@ def weighted_rounding(columns: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def expected(start: FloatArray, values: FloatArray) -> npt.NDArray[Any]:
-    """Return ``start @ values`` of arrays over states, fast for a start that is mostly zeros.
+    """Return ``start @ values``, computed only where the start is not 0.
 
     Args:
         start: distribution, [states].
@@ -271,14 +302,14 @@ _SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 
 def exact_sum(a: Any, b: Any) -> tuple[Any, Any]:
-    """Return ``a + b`` of numbers or arrays, rounded, and the rounding error (Knuth)."""
+    """Return the rounded sum of numbers or arrays, and its rounding error (Knuth)."""
     total = a + b
     back = total - a
     return total, (a - (total - back)) + (b - back)
 
 
 def exact_product(a: Any, b: Any) -> tuple[Any, Any]:
-    """Return ``a * b`` of numbers or arrays, rounded, and the rounding error (Dekker)."""
+    """Return the rounded product of numbers or arrays, and its rounding error (Dekker)."""
     total = a * b
     c, d = _SPLIT * a, _SPLIT * b
     a_high, b_high = c - (c - a), d - (d - b)
@@ -291,12 +322,17 @@ CHUNK = 1 << 22
 
 
 def segment_chunks(offsets: IntArray) -> Iterator[slice]:
-    """Yield slices of whole segments of at most ``CHUNK`` entries in all, or of one longer segment.
+    """Yield slices of consecutive segments with at most ``CHUNK`` entries in all.
+
+    A segment with more entries is a slice by itself.
 
     Args:
         offsets: the entries of segment k are ``offsets[k] : offsets[k + 1]``, [segments + 1].
     """
     begin, n_segments = 0, len(offsets) - 1
+    if 0 < int(offsets[-1]) <= CHUNK:
+        yield slice(0, n_segments)
+        return
     while begin < n_segments:
         full = offsets.dtype.type(min(int(offsets[begin]) + CHUNK, int(offsets[-1])))
         last = int(np.searchsorted(offsets, full, side="right")) - 1

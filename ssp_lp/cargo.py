@@ -29,7 +29,7 @@ _ALIGNED = 64  # bytes: arrays in a file begin at multiples, for the compiled lo
 
 
 def models_of(problems: Iterable[Problem]) -> list[SSP]:
-    """Return the distinct models of the problems; a product comes after its original."""
+    """Return the distinct models of the problems; a product comes after its original model."""
     models: dict[int, SSP] = {}
     for problem in problems:
         chain: list[SSP] = []
@@ -51,7 +51,11 @@ class _Pickler(pickle.Pickler):
         return self.places.get(id(thing)) if isinstance(thing, SSP) else None
 
     def reducer_override(self, thing: Any) -> Any:
-        """Send functions and classes of a script by value, and an array of equal numbers as one."""
+        """Pickle objects that need another form than the default.
+
+        Functions and classes of a script are pickled by value. An array of equal numbers is pickled
+        as one number and its shape.
+        """
         if isinstance(thing, (FunctionType, type)):  # lambdas and locals cannot be imported either
             if thing.__module__ == "__main__" or "<l" in thing.__qualname__:
                 return loads, (dumps(thing),)
@@ -67,24 +71,25 @@ class _Unpickler(pickle.Unpickler):
 
 
 class Cargo:
-    """Problems and answers in transit; their models are stored in a file, and named by place.
+    """Problems and answers in transit, whose models are stored in a file.
 
-    For each model the file holds the arrays, aligned, so that any process can map them. Then, at
-    the model's place, follow its pickle without the arrays, and the offsets of the arrays.
+    Outside the file a model is named by its place, a position in the file. For each model the file
+    contains the arrays, aligned so that any process can map them into memory. They are followed, at
+    the model's place, by a pickle of the rest of the model and the positions of its arrays.
     """
 
     def __init__(self, content: bytes | memoryview = b"") -> None:
-        """Begin without models.
+        """Begin with no model in memory.
 
         Args:
-            content: content of the file, if another process wrote it.
+            content: content of a file of models that another process wrote; empty: no such file.
         """
         self._content = memoryview(content)
         self._models: dict[int, SSP] = {}  # place -> model
         self._places: dict[int, int] = {}  # id of a model -> place
 
     def load(self, models: Iterable[SSP], file: BinaryIO) -> None:
-        """Write models to a file for other processes; a product comes after its original.
+        """Write models to a file for other processes, an original model before its product.
 
         Raises:
             ModelError: a model cannot be pickled.
@@ -104,7 +109,7 @@ class Cargo:
     def pack(
         self, thing: object, keep: Callable[[pickle.PickleBuffer], None] | None = None
     ) -> bytes:
-        """Pickle a problem or an answer without its models; arrays go to ``keep``, if given.
+        """Pickle a problem or an answer without its models; if given, ``keep`` receives its arrays.
 
         Raises:
             ModelError: the problem or answer cannot be pickled.
@@ -119,17 +124,17 @@ class Cargo:
         return stream.getvalue()
 
     def unpack(self, packed: bytes, buffers: Iterable[memoryview] = ()) -> Any:
-        """Return the problem or answer that was packed, on the models that are known here."""
+        """Return a problem or an answer that was packed, with the models of this process."""
         unpickler = _Unpickler(BytesIO(packed), buffers=buffers)
         unpickler.persistent_load = self._model_at
         return unpickler.load()
 
     def know(self, place: int, model: SSP) -> None:
-        """Register a model under its place in the file, unless the place has a model already."""
+        """Register a model under its place in the file, unless one is registered there already."""
         self._places[id(self._models.setdefault(place, model))] = place
 
     def _model_at(self, place: int) -> SSP:
-        """Return a cargo's model, read from the file on first use."""
+        """Return the model at a place in the file, which is read on first use."""
         if place not in self._models:
             stream, spans = pickle.loads(self._content[place:])  # noqa: S301 (the caller's process)
             buffers = [self._content[begin:end] for begin, end in spans]
@@ -139,7 +144,7 @@ class Cargo:
 
 @dataclass(frozen=True)
 class Shipment:
-    """A file of models; its content is sent to processes that cannot read the file."""
+    """A file of models. ``content`` is its content, for processes that cannot read the file."""
 
     path: str
     content: bytes | None = field(default=None, compare=False, repr=False)
@@ -147,7 +152,9 @@ class Shipment:
 
 @lru_cache(maxsize=1)
 def unloaded(shipment: Shipment) -> Cargo:
-    """Return a shipment's cargo in this process, cached: a worker keeps the models of one call.
+    """Return the cargo of a shipment in this process.
+
+    The last one is cached, so that a worker reads the models of a call once.
 
     Raises:
         OSError: the file cannot be read from here.

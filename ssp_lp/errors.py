@@ -27,9 +27,9 @@ _ABSENT = object()  # instead of an attribute that does not exist
 
 
 class Argument(NamedTuple):
-    """An argument named in an error; its text is how Python code writes it.
+    """An argument named in an error, written as in Python code.
 
-    The command line shows its own option instead.
+    The command line replaces it by the option of the command.
     """
 
     name: str
@@ -41,9 +41,9 @@ class Argument(NamedTuple):
 
 
 class SSPError(Exception):
-    """Root of every error that this library raises on purpose.
+    """Base class of all errors that this library raises on purpose.
 
-    Its message has several parts if it names an :class:`Argument`.
+    The message has several parts (``args``) if it names an :class:`Argument`.
     """
 
     is_of_argument = False  # wrong type of an argument: the caller names its own argument instead
@@ -105,7 +105,7 @@ class InfeasibleError(SSPError):
 
     @property
     def least_failure_interval(self) -> tuple[float, float]:
-        """Certified lower bound of every policy's failure, and the least one of a known policy."""
+        """Certified bounds of the least failure: a lower bound, and the least of a known policy."""
         return min(self._least_failure_bound, self.least_failure), self.least_failure
 
     def __reduce__(self) -> tuple[Callable[..., SSPError], tuple[object, ...], dict[str, object]]:
@@ -160,13 +160,16 @@ def wrong_argument(name: str, wanted: str, given: object, hint: str = "") -> Mod
 
 
 def attributes_of(thing: object, *names: str) -> dict[str, Any]:
-    """Return the values of these attributes, by name, as far as an object has them."""
+    """Return the values of named attributes, name -> value, for those that the object has."""
     found = {name: getattr(thing, name, _ABSENT) for name in names}
     return {name: value for name, value in found.items() if value is not _ABSENT}
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a value is a number that fits a float: of Python, of numpy or a fraction."""
+    """Return whether a value is a real number that fits a float.
+
+    Numbers of Python and of numpy count, and fractions.
+    """
     try:
         return isinstance(value, Real) and float(value) is not None
     except OverflowError:
@@ -179,20 +182,20 @@ def is_amount(value: object) -> TypeGuard[float]:
 
 
 def as_percentage(share: object) -> str:
-    """Return a hint for a share above 1 that may be a percentage."""
+    """Return a hint that a share above 1 may be meant as a percentage; empty for other values."""
     if not (is_number(share) and 1.0 < share <= 100.0):
         return ""
     return f"; did you mean {float(share) / 100.0:.12g}?"
 
 
 def check_between_0_and_1(name: str, value: object, hint: str = "") -> None:
-    """Raise :class:`ModelError`, naming the argument, unless it lies strictly between 0 and 1."""
+    """Raise :class:`ModelError` unless an argument lies strictly between 0 and 1."""
     if not (is_number(value) and 0.0 < float(value) < 1.0):
         raise wrong_argument(name, "lie strictly between 0 and 1", value, hint)
 
 
 def check_whole(name: str, value: object, least: int = 1, most: int = _MOST_COUNTED) -> None:
-    """Raise :class:`ModelError`, naming the argument, unless it is a whole number in a range."""
+    """Raise :class:`ModelError` unless an argument is a whole number from ``least`` to ``most``."""
     counts = isinstance(value, Integral) and not isinstance(value, bool)
     if not (counts and least <= int(cast("int", value)) <= most):
         upto = f" and <= {most:,}" if counts and most < _MOST_COUNTED else ""
@@ -200,7 +203,7 @@ def check_whole(name: str, value: object, least: int = 1, most: int = _MOST_COUN
 
 
 def check_flag(name: str, value: object) -> None:
-    """Raise :class:`ModelError`, naming the argument, unless it is a bool, of numpy or not."""
+    """Raise :class:`ModelError` unless an argument is True or False, of Python or of numpy."""
     if not isinstance(value, (bool, np.bool_)):
         raise wrong_argument(name, "be True or False", value)
 
@@ -229,7 +232,10 @@ _MEANT = {
 
 
 def meant_argument(word: str, own: Collection[str]) -> str | None:
-    """Return the argument of a function that an unknown name probably means, or None."""
+    """Return the argument that is probably meant by a name that a function does not have, or None.
+
+    ``own`` has the names of the function's arguments.
+    """
     meant = next((one for one in own if word in _MEANT.get(one, "").split()), None)
     return cast("str | None", nearest_name(word, own)) if meant is None else meant
 
@@ -244,11 +250,12 @@ def check_call(name: str, form: Signature, given: Sequence[object], named: Colle
     Args:
         name: name of the function.
         form: its signature.
-        given: arguments by their places, ``self`` among them where the signature has it.
-        named: names of the other arguments.
+        given: positional arguments, with ``self`` if the signature has it.
+        named: names of the keyword arguments.
 
     Raises:
-        ModelError: naming the wrong argument, and the likely one or the correct call.
+        ModelError: a call that does not fit; the error names the wrong argument, and the argument
+            that is probably meant or the correct call.
     """
     parts = form.parameters.values()
     own = [part.name for part in parts if part.name not in ("self", "cls")]
@@ -308,7 +315,7 @@ def in_short(value: Any) -> str:
 
 
 def nearest_name(unknown: Hashable, names: Iterable[Hashable]) -> Hashable | None:
-    """Return the name that an unknown one probably means, or None.
+    """Return the existing name that is probably meant by an unknown one, or None.
 
     A name that prints in the same way counts as nearest, such as 3 for '3' or (1, 2) for [1, 2].
     """
@@ -339,7 +346,7 @@ def did_you_mean(unknown: Hashable, names: Iterable[Hashable], listed: str = "")
 
 
 def _as_read_for_error(name: Hashable) -> str:
-    """Return a name without quotes, brackets, blanks and capitals, to compare it in a hint."""
+    """Return a name in lower case without quotes, brackets and blanks, for comparison."""
     return str(name).translate(_DROPPED).casefold()
 
 

@@ -1,16 +1,16 @@
 """The base class of all formulations: a criterion declares its semantics and inherits the rest.
 
 A formulation is a frozen dataclass with a model, a start, and its own arguments. It declares the
-worth of an episode (``semantics``), whether its cost counts given success (``ratio``), and the
-allowed failure (``failure_budget``). These determine its augmentation, its program, and the methods
-that solve it. The pages of ``formulations`` import from this module only.
+worth of an episode (``semantics``), whether costs count given success (``ratio``), and the allowed
+failure (``failure_budget``). These determine how states are augmented, the linear program, and the
+methods that solve the problem. The pages of ``formulations`` import from this module only.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -98,7 +98,7 @@ if TYPE_CHECKING:
 _COMPILING = logging.getLogger("ssp_lp.compiling")
 
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
-"""Default rule for giving up: the paper's section 2.4."""
+"""Default values of arguments that are None: the paper's rule for giving up (section 2.4)."""
 
 _NUMBER = ("float", float)
 _NUMBER_OR_NONE = ("float | None", float | None)
@@ -144,7 +144,7 @@ class Formulation(Problem):
         return object.__new__, (type(self),), self.__getstate__()
 
     def __init_subclass__(cls) -> None:
-        """Make every criterion inherit the repr, which ``dataclass`` would replace."""
+        """Give every criterion the repr of this class, which ``dataclass`` would replace."""
         cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
@@ -209,9 +209,10 @@ class Formulation(Problem):
         _ = self.objective_condition
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the arguments, and the formulations in ``tracked`` and ``unrolled`` if built.
+        """Return the arguments, for a pickle, and the restated problems if they were built.
 
-        Derived values, such as arrays over all states, are recomputed after a pickle.
+        These are ``tracked`` and ``unrolled``. Derived values, such as arrays over all states, are
+        recomputed after a pickle.
         """
         made, kind = vars(self), type(self)
         follows = (k for k in made if isinstance(getattr(kind, k, None), cached_property))
@@ -221,40 +222,53 @@ class Formulation(Problem):
 
     @cached_property
     def unrolled(self) -> Self:
-        """The formulation as it is solved, on (state, steps) or (state, failure label) if needed.
+        """The formulation as it is solved: itself, or restated on augmented states.
 
-        With a horizon its model is :func:`~ssp_lp.model.product.within_steps`, in which a goal that
-        is too far away is unreachable. If a quantity is counted after failing, its model is the
-        model of ``label_failing``. Both are built on first use.
+        With a horizon the states are (state, steps taken), as in
+        :func:`~ssp_lp.model.product.within_steps`; a goal that is too far away is then unreachable.
+        If a quantity is counted after failing, the states are (state, failure label), as in
+        ``label_failing``. Built on first use.
         """
         if self.tracked is not self:
             return self.tracked.unrolled
+        begin = self.start_mass.nonzero()[0]
         if self.horizon is not None:
-            start, begin = self.start_mass, np.flatnonzero(self.start_mass)
-            model = unroll_steps(self.model, self.horizon, begin.tolist())
-            model = replace(model, is_hidden=True)
-            places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
-            return self.with_arguments(model=model, start=places, horizon=None).unrolled
+            model = unroll_steps(self.model, self.horizon, begin.tolist(), is_hidden=True)
+            return self._on_product(model, np.arange(begin.size), horizon=None).unrolled
         if self.model.failure_label is not None:
             return self
         asked = self.conditions, self.objective_condition, self.semantics
         label = labelled_past_failing(self.model, *asked, ratio=self.ratio, discount=self.discount)
-        if label is None:
-            return self
-        begin = np.flatnonzero(self.start_mass)
-        places = {label.states[k]: float(self.start_mass[k]) for k in begin.tolist()}
-        return self.with_arguments(model=label, start=places)
+        return self if label is None else self._on_product(label, begin)
+
+    def _on_product(self, model: SSP, begin: IntArray, **changes: Any) -> Self:
+        """Return the formulation on a product, without checking its arguments again.
+
+        Args:
+            model: the product.
+            begin: its states that stand for the start states, in their order.
+            changes: other arguments that change.
+        """
+        moved, start_mass = object.__new__(type(self)), np.zeros(model.n_states)
+        start_mass[begin] = shares = self.start_mass[self.start_mass > 0.0]
+        start = zip(map(model.states.__getitem__, begin.tolist()), shares.tolist(), strict=True)
+        kept = self.__getstate__()
+        kept.pop("tracked", None)
+        moved.__setstate__(
+            {**kept, "model": model, "start": dict(start), "start_mass": start_mass, **changes}
+        )
+        return moved
 
     @cached_property
     def tracked(self) -> Self:
-        """The formulation on the product with the automata of its promises and tasks.
+        """The formulation restated on a product with automata for limits on whole runs and tasks.
 
-        The horizon is unchanged. Without promises and tasks this is the formulation itself.
+        The product's states are (state, value of an automaton). The horizon is unchanged. Without
+        such limits and tasks this is the formulation itself.
         """
         if not self.all_constraints and self.quantity is None:
             return self
         model, begin = self.model, cast("IntArray", np.flatnonzero(self.start_mass))
-        shares = self.start_mass[begin].tolist()
         for followed in followed_by(limit for _, limit in limits_of(self)):
             if followed_in(model, followed) is None:
                 automaton = followed.automaton(model)
@@ -266,14 +280,11 @@ class Formulation(Problem):
                                      "limits within(...) >= p and exceeds(...) <= p")  # fmt: skip
                 product = track(model, automaton, followed, begin)
                 model, begin = product, product.at(begin, product.first_memory(begin))
-        if model is self.model:
-            return self
-        places = [model.states[k] for k in begin.tolist()]
-        return self.with_arguments(model=model, start=dict(zip(places, shares, strict=True)))
+        return self if model is self.model else self._on_product(model, begin)
 
     @cached_property
     def objective_condition(self) -> Condition | None:
-        """Quantity that replaces the cost as the objective of a formulation, or None."""
+        """Quantity that is minimised instead of the cost, or None."""
         if self.quantity is None or self.semantics.counts_law:
             return None
         if self.horizon is not None or self.tracked is not self:
@@ -291,7 +302,7 @@ class Formulation(Problem):
 
     @property
     def measure(self) -> Measure | None:
-        """Functional of the total cost's distribution that replaces its mean; None: the mean.
+        """Function of the total cost's distribution that is optimised instead of the mean, or None.
 
         Raises:
             ModelError: an arrival cost is not counted given success, or is discounted.
@@ -304,16 +315,16 @@ class Formulation(Problem):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Worth of an episode, from the attributes ``give_up``, ``penalty``, ``aim`` and others."""
+        """Value of an episode, from the attributes ``give_up``, ``penalty``, ``aim`` and others."""
         give_up, charged = GiveUp(str(self.give_up)), bool(self.charge_failing_step)
         return FailureSemantics(give_up, charged, float(self.penalty), self.aim, self.measure)
 
     def compile(self) -> CompiledProblem:
-        """Return the compiled problem of a formulation: its augmented process, ready for a method.
+        """Return the compiled problem of a formulation: an augmented process, ready for a method.
 
-        Costs given success, and functions of the total cost, need the accumulated cost (paper,
-        section 3.1.1); all other criteria need the failure label (section 3.1.2). A horizon is
-        unrolled first.
+        The states are augmented by the accumulated cost (paper, section 3.1.1) if costs count given
+        success or a function of the total cost is optimised, and by the failure label (section
+        3.1.2) otherwise. A horizon is unrolled first.
         """
         if self.box is not None:
             raise has_boxes("compile")

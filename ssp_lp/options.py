@@ -27,7 +27,7 @@ BACKENDS = ("highs", "highs-simplex", "highs-ipx", "cvxpy")
 
 
 class Status(StrEnum):
-    """Why a call ended with the answer that it returns."""
+    """Reason for which a call ended with the answer that it returns."""
 
     OPTIMAL = "optimal: the certified gap meets the tolerance"
     TIME_LIMIT = "stopped by the time limit: the best answer so far, with its certified gap"
@@ -50,7 +50,7 @@ _WIDTH, _BAR = 100, 20  # characters of a line, and of a bar in it
 
 
 class _Option:
-    """Mix-in of methods that names a misspelled option."""
+    """Mix-in of solution methods: an error for a misspelled option names the likely one."""
 
     def __new__(cls, *given: object, **named: object) -> Self:
         """Raise :class:`ModelError` for an unknown option."""
@@ -94,10 +94,10 @@ class Game(_Option):
     Requires a discount and a budget above 0.
 
     Args:
-        tail: in case S the paper's M, a total cost above 0: restricts policies to Pi_{M,pi'_or}:
-            once M is paid they fail as surely as possible. The answer's cost is measured exactly,
-            and its bound holds for all policies; :func:`ssp_lp.game.stationary_game` with this tail
-            gives the paper's c-hat_M. None: M grows until nothing is lost beyond it.
+        tail: in case S the paper's M, a total cost above 0. It restricts policies to Pi_{M,pi'_or}:
+            once M is paid they fail as surely as possible. The cost of the answer is measured
+            exactly, and the bound holds for all policies; :func:`ssp_lp.game.stationary_game` with
+            this tail gives the paper's c-hat_M. None: M grows until the restriction costs nothing.
 
     Raises:
         ModelError: a tail that is not a number above 0.
@@ -113,7 +113,7 @@ class Game(_Option):
 
 
 def check_tail(tail: object) -> float:
-    """Return the game's M as a number; :class:`ModelError` unless it is in (0, inf)."""
+    """Return the game's M as a float; :class:`ModelError` unless it is above 0 and finite."""
     if not (is_number(tail) and 0.0 < float(tail) < float("inf")):
         raise wrong_argument("tail", "be a total cost above 0", tail)
     return float(tail)
@@ -146,7 +146,7 @@ Method = ColumnGeneration | LinearProgramming | Game | DeterministicPolicies
 
 
 def parse_method(method: Method | str | None) -> Method:
-    """Return the method of that name, or a method as it is; None: column generation.
+    """Return the method with a given name; a method unchanged; column generation for None.
 
     Raises:
         ModelError: no method or name of one.
@@ -181,13 +181,16 @@ class SolveOptions:
 
     @property
     def method(self) -> str:
-        """Name of the method in the solve options."""
+        """Name of the method."""
         if self.deterministic:
             return DeterministicPolicies.name
         return ColumnGeneration.name if self.program is None else self.program.name
 
     def after(self, calls: int) -> SolveOptions:
-        """Return the options with progress reports that also count these earlier pricing calls."""
+        """Return the options for a further search, whose reports also count earlier pricing calls.
+
+        ``calls`` is the number of earlier calls.
+        """
         progress = self.progress
         if progress is None:
             return self
@@ -205,14 +208,14 @@ def options_of(
     time_limit: float | None,
     progress: Progress | None,
 ) -> SolveOptions:
-    """Return the solve options of a tolerance and a time limit, checked.
+    """Return checked options for a search.
 
     Args:
-        method: with :class:`LinearProgramming` the full linear program is solved; the options of
-            :class:`DeterministicPolicies` are those of its relaxation.
+        method: :class:`LinearProgramming` solves the full linear program; for
+            :class:`DeterministicPolicies` the options are those of its relaxation.
         tolerance: relative gap to reach.
         began: start of the call, on the clock of ``time.perf_counter``.
-        time_limit: seconds from then.
+        time_limit: seconds from the start of the call; None: unlimited.
         progress: see ``Progress``.
 
     Raises:
@@ -239,10 +242,12 @@ def options_of(
 
 
 def deadline_of(time_limit: float | None, began: float, name: str = "time_limit") -> float:
-    """Return the end of the time limit, on the clock of ``time.perf_counter``; inf for None.
+    """Return the time at which a time limit ends, on the clock of ``time.perf_counter``.
+
+    It is infinite without a limit (None). ``name`` is the name of the option, for the error.
 
     Raises:
-        ModelError: a limit that is not a number of seconds; the error names this option.
+        ModelError: a limit that is not a number of seconds.
     """
     if time_limit is not None and not (is_number(time_limit) and time_limit >= 0.0):
         raise wrong_argument(name, "be a number of seconds", time_limit)
@@ -258,8 +263,8 @@ def progress_shown(verbose: bool = True, *, lasting: bool = True) -> Iterator[No
 
     Args:
         verbose: False: show nothing.
-        lasting: False: show only one line, after the first second; it is overwritten and finally
-            removed.
+        lasting: False: show a single line, from the first second on, which is overwritten and
+            finally removed.
 
     Raises:
         ModelError: an argument is neither True nor False.
@@ -289,17 +294,19 @@ def progress_shown(verbose: bool = True, *, lasting: bool = True) -> Iterator[No
 
 
 class _ProgressLines(logging.Handler):
-    """Handler that prints finished phases and, if lines can be overwritten, the current one."""
+    """Handler that prints a line for each finished phase, and one line for the current phase.
+
+    The line of the current phase is overwritten, so it is shown only where that is possible.
+    """
 
     def __init__(self, stream: TextIO, lasting: bool) -> None:
-        """Start the clock."""
         super().__init__()
         self._stream, self._began, self._lasting = stream, time.perf_counter(), lasting
         self._overwrites = stream.isatty() or "ipykernel" in sys.modules
         self._told, self._under_way = 0.0, False
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line of progress over the unfinished one."""
+        """Write a line of progress in place of the line of the current phase."""
         now, done = time.perf_counter(), record.levelno > logging.DEBUG
         if not self._lasting and now - self._began < _PATIENCE:
             return
@@ -316,12 +323,12 @@ class _ProgressLines(logging.Handler):
         self._told, self._under_way = (self._told, False) if done else (now, True)
 
     def close(self) -> None:
-        """Finish the output, leaving no unfinished line."""
+        """Clear the line of the current phase, and close the handler."""
         self._clear()
         super().close()
 
     def _clear(self) -> None:
-        """Clear the unfinished line of progress."""
+        """Clear the line of the current phase, if one is shown."""
         if self._under_way:
             self._stream.write(f"\r{' ' * _WIDTH}\r")
             self._under_way = False

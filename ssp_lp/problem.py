@@ -65,12 +65,12 @@ EXACT = FailureSemantics()
 
 
 class Problem(ReadOnlyCopies):
-    """A criterion on a model with a start and a failure budget.
+    """Base class of a criterion on a model with a start and a failure budget.
 
-    The class attributes are the defaults: no discount, all runs count (not successes alone), no
-    limits except the failure budget. If failing has a price instead of a limit, ``failure_budget``
-    is 1 and ``semantics`` has the penalty. ``semantics.aim`` says whether the cost or only the goal
-    counts.
+    The class attributes are the defaults: no discount, the cost of all runs counts (not only of
+    those that succeed), and no limit except the failure budget. If failing has a price instead of a
+    limit, ``failure_budget`` is 1 and ``semantics`` has the penalty. ``semantics.aim`` says whether
+    the cost or only the goal counts.
     """
 
     model: SSP
@@ -92,13 +92,13 @@ class Problem(ReadOnlyCopies):
 
     @cached_property
     def start_mass(self) -> FloatArray:
-        """Start of a problem as a distribution over states, read-only, [states]."""
+        """Distribution of the start over states, read-only, [states]."""
         mass: FloatArray = read_only(start_distribution(self.model, self.start))
         return mass
 
     @property
     def semantics(self) -> FailureSemantics:
-        """Worth of an episode: which cost counts and what failing costs."""
+        """Value of an episode: which cost counts, and what failing costs."""
         return EXACT
 
     @property
@@ -136,17 +136,23 @@ class Problem(ReadOnlyCopies):
 
     @property
     def tracked(self) -> Problem:
-        """The problem on the product with the automata of its promises and tasks, if it has any."""
+        """The problem restated on a product with automata for limits on whole runs and tasks.
+
+        If there are no such limits and tasks, this is the problem itself.
+        """
         return self
 
     @property
     def unrolled(self) -> Problem:
-        """The problem as it is solved: unchanged, or on (state, steps taken) or (state, label)."""
+        """The problem as it is solved: itself, or restated on augmented states.
+
+        The augmented states are (state, steps taken) or (state, failure label).
+        """
         return self
 
     @property
     def has_rows(self) -> bool:
-        """Whether the problem has constraints, or a quantity instead of the cost as objective."""
+        """Whether the problem has constraints other than the budget, or minimises a quantity."""
         return bool(self.conditions) or self.objective_condition is not None
 
     @property
@@ -156,7 +162,7 @@ class Problem(ReadOnlyCopies):
 
     @cached_property
     def totals(self) -> TotalScale:
-        """Scale on which the total costs of runs that succeed are distinguished."""
+        """Scale of the total costs of successful runs: the values that a total can take."""
         if not self.counts_totals:
             return TotalScale.NONE
         resolution = resolution_of(self)
@@ -169,17 +175,17 @@ class Problem(ReadOnlyCopies):
 
     @property
     def several_rows(self) -> bool:
-        """Whether :attr:`has_rows` holds, or the total costs are levels of a grid."""
+        """Whether :attr:`has_rows` is True, or total costs are rounded to the levels of a grid."""
         return self.has_rows or self.totals is TotalScale.GRID
 
     @property
     def is_mean_within_budget(self) -> bool:
-        """Whether a problem is case S with the failure budget as the only limit."""
+        """Whether the problem is case S, and its only limit is the failure budget."""
         plain = self.ratio and not (self.semantics.counts_law or self.has_rows)
         return plain and self.failure_budget is not None
 
     def compile(self) -> CompiledProblem:
-        """Return the problem compiled: its augmented process, ready for a method."""
+        """Return the compiled problem: an augmented process, ready for a method."""
         raise NotImplementedError
 
     def program(self) -> Any:
@@ -197,7 +203,10 @@ NEEDED = cast("Problem", None)
 
 
 def resolution_of(problem: Problem) -> Resolution | None:
-    """Return the resolution of totals in a problem; None: multiples of a unit suffice."""
+    """Return how total costs are rounded or summed up in a problem.
+
+    None if total costs are not needed, or are multiples of a unit.
+    """
     levels, cap = problem.cost_levels, problem.cost_cap
     of_law = problem.semantics.counts_law
     if not of_law and not problem.ratio:
@@ -218,7 +227,7 @@ def resolution_of(problem: Problem) -> Resolution | None:
 
 
 class TotalScale(StrEnum):
-    """Scales on which the totals of a cost are distinguished."""
+    """Scales of total costs: the values that a total cost can take in a program."""
 
     NONE = "no total is counted"
     UNITS = "multiples of a unit"
@@ -227,7 +236,7 @@ class TotalScale(StrEnum):
 
 
 def least_failure_bound(problem: Problem) -> float | None:
-    """Return a certified lower bound of every policy's failure; None with a failure budget."""
+    """Return a certified lower bound of the failure of all policies; None with a failure budget."""
     if problem.failure_budget is not None:
         return None
     model, start, survival = problem.model, problem.start_mass, survival_of(problem.discount)
@@ -235,7 +244,7 @@ def least_failure_bound(problem: Problem) -> float | None:
 
 
 def compiled_constrained(problem: Problem) -> CompiledExplicit:
-    """Compile a problem with constraints: its process and its rows."""
+    """Compile a problem with constraints to its process, with a row for each constraint."""
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
     objective, model, start = problem.objective_condition, problem.model, problem.start_mass
     if (label := model.failure_label) is not None and start[~label.finite[0]].any():
@@ -266,7 +275,7 @@ def compiled_constrained(problem: Problem) -> CompiledExplicit:
 
 
 def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayered:
-    """Compile a problem that counts totals and limits only failure.
+    """Compile a problem that counts total costs and has no limit but the failure budget.
 
     Args:
         problem: the problem.
@@ -295,7 +304,7 @@ class Restated(Problem):
     objective_condition: Condition | None = None
 
     def compile(self) -> CompiledLayered:
-        """Compile the restated problem on the lattice of its costs."""
+        """Compile the problem, with total costs as multiples of a unit."""
         return compiled_totals(self, may_sum=False)
 
 
@@ -303,11 +312,12 @@ _FOLLOWS = "failure_budget was computed from reach_fraction (solve has its own t
 
 
 class FailureBudget:
-    """Descriptor of ``failure_budget`` in a problem that may be given ``reach_fraction`` instead.
+    """Descriptor of the field ``failure_budget``, which may be replaced by ``reach_fraction``.
 
-    The budget is then computed from a share of the greatest goal probability, on first use, since
-    stating a problem solves nothing. ``solve`` computes it within its own time limit. Reading the
-    attribute computes it within some seconds, or raises OutOfTimeError.
+    If ``reach_fraction`` is given, the budget is computed from a share of the greatest goal
+    probability. This is done on first use, since stating a problem solves nothing. ``solve`` does
+    it within its own time limit. Reading the attribute does it within some seconds, or raises
+    OutOfTimeError.
     """
 
     def __set__(self, problem: object, value: float | None) -> None:
@@ -316,7 +326,7 @@ class FailureBudget:
         vars(problem)["_stated_budget"] = None if is_followed else as_float(value)
 
     def __get__(self, problem: Any, owner: type[object]) -> float | None:
-        """Return the budget; on the class itself None, the default (least failure)."""
+        """Return the budget; if read from the class, None, the default (least failure)."""
         if problem is None:
             return None
         fields, key, share = vars(problem), "_stated_budget", problem.reach_fraction
@@ -334,7 +344,11 @@ BUDGET_OR_SHARE = FailureBudget()
 
 
 def as_stated(problem: object) -> dict[str, Any]:
-    """Return the argument ``failure_budget`` as it was given, for a copy; empty if it was not."""
+    """Return the argument ``failure_budget`` of a problem as it was given, to copy the problem.
+
+    Returns:
+        A dict with this argument; empty if the problem's class has no such argument.
+    """
     fields = vars(problem)
     return {"failure_budget": fields["_stated_budget"]} if "_stated_budget" in fields else {}
 
@@ -399,7 +413,11 @@ def check_explorable(problem: Problem) -> None:
 
 
 def check_boxed(problem: Problem, box: object) -> None:
-    """Check that the robust optimum of a problem over boxes of probabilities can be computed.
+    """Check that a problem has a robust optimum that this library computes.
+
+    Args:
+        problem: the problem.
+        box: its boxes, intervals of the probabilities.
 
     Raises:
         ModelError: no boxes, or boxes of another model; constraints, a horizon or a discount;
@@ -423,7 +441,7 @@ def check_boxed(problem: Problem, box: object) -> None:
 
 
 def has_boxes(verb: str) -> ModelError:
-    """Return the error of a function that needs fixed probabilities, for a problem over boxes."""
+    """Return the error for a problem over boxes, given to a function without support for boxes."""
     return ModelError(
         f"{verb} needs one choice of probabilities, and the problem has boxes: pass box= to "
         "evaluate, or solve it and take solution.problem, which has the worst probabilities"
@@ -431,7 +449,7 @@ def has_boxes(verb: str) -> ModelError:
 
 
 def check_measures(problem: Problem) -> None:
-    """Raise :class:`ModelError` for a problem whose measures have no worst case over boxes."""
+    """Raise :class:`ModelError` if a measure of the problem has no known worst case over boxes."""
     name = type(problem).__name__
     if problem.ratio or problem.semantics.counts_law:
         raise ModelError(
@@ -447,7 +465,10 @@ def check_measures(problem: Problem) -> None:
 
 
 def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
-    """Return a problem's constraints by name, and its quantity, if any, as "objective"."""
+    """Return the constraints of a problem, (name, constraint) each.
+
+    A quantity that the problem minimises is added as the constraint "objective".
+    """
     limits = problem.all_constraints.items()
     asked = [(str(name), limit) for name, limit in limits if isinstance(limit, Constraint)]
     if isinstance(problem.quantity, Quantity):
@@ -458,11 +479,11 @@ def limits_of(problem: Problem) -> list[tuple[str, Constraint]]:
 def on_one_model(
     policy: Policy | MixedPolicy, problem: Problem, verb: str
 ) -> tuple[MixedPolicy, Problem]:
-    """Check that a policy and a problem share a model.
+    """Check that a policy and a problem share a model; return both on the model that is solved.
 
     Returns:
-        The policy as a lottery, and the problem as it is solved, both on this problem's model:
-        with a horizon the model of (state, steps taken).
+        The policy as a lottery, and the problem unrolled. With a horizon their model has the states
+        (state, steps taken).
 
     Raises:
         ModelError: no policy (a solution, for instance); no problem; or two models.
@@ -494,26 +515,26 @@ def on_one_model(
 
 
 def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
-    """Translate a policy of the unrolled problem to the states of the problem as stated."""
+    """Translate a policy on the model of the unrolled problem to the model of the problem."""
     while policy.model is not problem.model:
         policy = on_original(policy)
     return policy
 
 
 def as_float(value: Any) -> Any:
-    """Return fractions and numbers of numpy as floats, and other arguments unchanged."""
+    """Return a number, such as a fraction, as a float, and any other argument unchanged."""
     return value if type(value) in (bool, int, float) or not is_number(value) else float(value)
 
 
 def check_cost(name: str, value: object) -> None:
-    """Raise :class:`ModelError`, naming the argument, unless it is a finite number >= 0."""
+    """Raise :class:`ModelError` unless an argument is a finite number >= 0."""
     if not is_amount(value):
         raise wrong_argument(name, "be a cost" if is_number(value) else "be a number", value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _InProduct(Policy):
-    """A policy of the original model that acts in a product and ignores its memory."""
+    """A policy of the original model, restated on a product whose memory it ignores."""
 
     inner: Policy  # on the original
     model: ProductSSP
@@ -524,7 +545,7 @@ class _InProduct(Policy):
 
     @property
     def goes_on(self) -> bool:  # type: ignore[override]
-        """Whether the inner policy goes on after failing, and the product lacks a failure label."""
+        """Whether the inner policy goes on after failing, and the product has no failure label."""
         return self.inner.goes_on and self.model.failure_label is None
 
     @property
@@ -557,24 +578,26 @@ class _InProduct(Policy):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _UntilFailing(Policy):
-    """A policy without its decisions after failing, for problems that count nothing then."""
+    """A policy that gives up where another one goes on after failing.
+
+    For problems that count nothing after failing.
+    """
 
     carrier: Policy
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """Model that the policy acts on."""
         return self.carrier.model
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the policy's decisions, with giving up in place of going on after failing."""
+        """Return the decisions, with giving up instead of decisions that go on after failing."""
         branches = self.carrier.branches(states, memory)
         pair = np.where(branches.gives_up(memory), GIVE_UP_CODE, branches.pair)
         return Branches(branches.situation, pair, branches.probability)
 
 
 def until_failing(lottery: MixedPolicy) -> MixedPolicy:
-    """Return the lottery with each policy ended at failing, if it continues after failing."""
+    """Return a lottery whose policies give up instead of going on after failing."""
     for member in lottery.policies:
         if member.goes_on:
             return replace(lottery, policies=tuple(map(_UntilFailing, lottery.policies)))
@@ -582,10 +605,13 @@ def until_failing(lottery: MixedPolicy) -> MixedPolicy:
 
 
 def on_product(policy: Policy | MixedPolicy, product: ProductSSP) -> MixedPolicy:
-    """Translate a policy of the original model to a product; one of ``on_original`` is unwrapped.
+    """Translate a policy of the original model to a policy on a product.
+
+    A policy that :func:`on_original` made from one on this product is translated back. Any other
+    policy ignores the product's memory.
 
     Args:
-        policy: such as one of :func:`on_original`, or one that ignores the product's memory.
+        policy: policy or lottery on the original model.
         product: product of the model that the policy acts on.
     """
     lottery = as_lottery(policy)

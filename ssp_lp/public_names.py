@@ -5,9 +5,10 @@ from pathlib import Path
 
 
 def names_in_stub(package: str, file: str) -> dict[str, str]:
-    """Return the module of each name that the stub of a package imports.
+    """Return the public names of a package, each with the module that defines it.
 
-    Type checkers read the same stub, so one list of names is enough.
+    They are read from the package's stub, which type checkers read, too, so that one list of names
+    is enough.
 
     Args:
         package: full name of the package.

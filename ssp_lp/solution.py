@@ -54,7 +54,7 @@ _LEAST_LIMIT = 1.0  # least seconds for numbers computed later, if the call was 
 
 @dataclass(frozen=True)
 class Run:
-    """A method's run: its name, the reason for choosing it, and counts of its work."""
+    """Record of a method's run: its name, the reason for choosing it, and counts of its work."""
 
     method: str  # "columns", "lp", "game" or "deterministic"
     reason: str  # why this method was chosen, and what it did
@@ -68,7 +68,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Facts, ReadOnlyCopies):
-    """The optimal value c*, a certified lower bound, and a mixed policy that attains the value.
+    """The optimal value c*, a certified bound of it, and a lottery that attains the value.
 
     ``objective`` and ``budget_used`` are computed exactly from the policy on the augmented process.
     The other numbers about the policy are evaluated on the model on first use.
@@ -90,16 +90,19 @@ class Solution(Facts, ReadOnlyCopies):
     prices: Mapping[str, float] = field(default_factory=dict)  # multiplier of each row, by name
     least_failure_bound: float | None = None  # certified, of every policy; with least failure only
     granted: Mapping[str, float] = field(default_factory=dict)
-    """Bounds by name that only rounding makes infeasible; the least attainable value counts."""
+    """Bounds that only rounding makes infeasible: name -> least attainable value, used instead."""
     taken: Mapping[str, float] = field(default_factory=dict)
-    """Left side of each limited row as measured, by name, if the method measures rows."""
+    """Values of the limited quantities by name, if the method measures them."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "prices", ByName(self.prices))
 
     @cached_property
     def evaluation(self) -> Evaluation:
-        """Evaluation of the policy on the model, within the time limit of ``solve`` or a second.
+        """Evaluation of the policy on the model, computed on first use.
+
+        The computation may take as long as the time limit of ``solve``, or a second if that is
+        longer.
 
         Raises:
             OutOfTimeError: it takes longer; ``evaluate(policy, problem)`` has no time limit.
@@ -110,10 +113,12 @@ class Solution(Facts, ReadOnlyCopies):
 
     @cached_property
     def values(self) -> StateValues:
-        """The solution's state values, with rows charged at ``prices``: ``values["depot"]``.
+        """Values of the states at the optimal prices: ``values["depot"]``.
 
-        They belong to the problem's program (:meth:`ssp_lp.formulation.Formulation.program`), which
-        is built for this purpose; actions have values and advantages, too.
+        The value of a state is the least expected cost from there, with each limited quantity
+        charged at its price (``prices``); in case S, c* times the goal probability is subtracted.
+        Actions have values and advantages, too. The problem's linear program
+        (:meth:`ssp_lp.formulation.Formulation.program`) is built to compute them.
 
         Raises:
             ModelError: the criterion is not a linear program, or the problem's class has none.
@@ -174,7 +179,7 @@ class Solution(Facts, ReadOnlyCopies):
 
         Args:
             by: maps a :class:`Number` to a group. The numbers of a group change together, since one
-                quantity may stand in many places. None leaves a number out.
+                quantity may stand in many places. A number that is mapped to None is left out.
             time_limit: seconds, after which the remaining derivatives are None.
 
         Raises:
@@ -208,9 +213,9 @@ class Solution(Facts, ReadOnlyCopies):
         """Return the policy extended to every state that has actions.
 
         Where the plan has no decision, the policy takes the best action at the optimal price of
-        failing, in case M without giving up. Without a price it takes the action of least failure.
-        These actions are computed on first use. :func:`ssp_lp.acting_everywhere` describes the
-        actions after giving up and in dead-ends.
+        failing, with costs counted as in case M and without giving up. If there is no price, it
+        takes the action of least failure. These actions are computed on first use.
+        :func:`ssp_lp.acting_everywhere` describes the actions after giving up and in dead-ends.
 
         Args:
             default: takes precedence over these actions: an action, for all states that have it,
@@ -226,7 +231,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @cached_property
     def _greedy(self) -> IntArray:
-        """Best pair of each state at the price of failing, [states]."""
+        """Best pair of each state at the price of failing; negative codes: none, [states]."""
         model, semantics = self.problem.model, self.problem.semantics
         live = ~(dead_ends(model) | model.goal_mask)
         if not live.any():
@@ -246,7 +251,10 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def gap(self) -> float:
-        """Relative gap of objective and bound; with least failure at least ``failure_gap``."""
+        """Relative gap between the objective and its certified bound.
+
+        If failure must be least, it is at least ``failure_gap``.
+        """
         if self.upper_bound is not None:
             gap = relative_gap(self.upper_bound, self.objective)
         else:
@@ -255,7 +263,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def failure_gap(self) -> float:
-        """Relative gap of goal probability and its upper bound, if failure must be least; else 0.
+        """Relative gap between the goal probability and its upper bound; 0 with a failure budget.
 
         The bound of the objective holds for policies of least failure. If this gap is not 0,
         another policy may fail less.
@@ -296,9 +304,9 @@ class Solution(Facts, ReadOnlyCopies):
     def budget_slope(self) -> float | None:
         """Decrease of the optimum c* per unit of the failure budget: -d c* / d budget.
 
-        This is the price in case M, and price / (1 - budget) in case S, without the penalty of
-        failing. If a probability is maximised, it is the increase. None without a price, or if the
-        penalty is infinite.
+        In case M this is the price of failure without the penalty, and in case S this price divided
+        by 1 - budget. If a probability is maximised, the value is the increase of the optimum. None
+        without a price, or if the penalty is infinite.
         """
         price, budget = self._multiplier, self.problem.failure_budget
         if price is None or budget is None or not self.problem.ratio:
@@ -307,7 +315,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def _multiplier(self) -> float | None:
-        """The solution's multiplier of the failure row: the price beyond the penalty."""
+        """Multiplier of the failure row: the failure price without the penalty."""
         penalty = self.problem.semantics.penalty
         if self.failure_price is None or penalty == float("inf"):
             return None
@@ -315,11 +323,12 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def adversary_weight(self) -> float | None:
-        """The solution's alpha*, weight of the objective MDP in the paper's game (section 3.2).
+        """Weight alpha* of the objective's MDP in the paper's game (section 3.2), in [0, 1].
 
-        Case M: c* / (c* + price * budget). Case S: c* (1 - e) / (c* (1 - e) + (c* + price) e) at
-        the failure e that attains the minimum. None where ``budget_slope`` is None, and for limits
-        and measures of the law of costs, which the game does not support.
+        Case M: c* / (c* + price * budget). Case S: c* (1 - e) / (c* (1 - e) + (c* + price) e),
+        where e is the budget, or the policy's failure if the price is 0. None where
+        ``budget_slope`` is None, and for problems that the game does not support: with constraints,
+        or functions of the distribution of costs.
         """
         price, budget = self._multiplier, self.problem.failure_budget
         unknown = self.problem.has_rows or self.problem.semantics.counts_law
@@ -346,10 +355,10 @@ class Solution(Facts, ReadOnlyCopies):
 
     @cached_property
     def randomised_policy(self) -> StochasticPolicy | MixedPolicy:
-        """The stationary randomised policy equivalent to the solution's lottery (section 2.2).
+        """The stationary randomised policy that is equivalent to the lottery (section 2.2).
 
-        It acts on the augmented states (the model's states in case M, (state, accumulated cost) in
-        case S) and visits each of them equally often in expectation. If totals are rounded to
+        It visits each augmented state as often as the lottery does, in expectation. These are the
+        model's states in case M, and (state, accumulated cost) in case S. If totals are rounded to
         levels, its cost differs from the lottery's by rounding. With a horizon it also remembers
         the time.
         """
@@ -403,7 +412,7 @@ class Solution(Facts, ReadOnlyCopies):
         return [Table(facts, title=self._title, digits={"objective c*": 9, f"{side} bound": 9})]
 
     def _giving_up(self) -> str:
-        """Return the summary's row on giving up by choice: share, first place and remedy."""
+        """Return the summary's row on giving up by choice: share, first state and remedy."""
         share = self.evaluation.ends.get("gave_up", 0.0)
         if share <= 0.0 or self.problem.semantics.give_up is GiveUp.DEAD_ENDS:
             return ""
@@ -413,7 +422,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def _asked(self) -> str:
-        """The solution's limit on failing, in words."""
+        """Limit on failing, or the criterion's measure, in words."""
         budget, semantics = self.problem.failure_budget, self.problem.semantics
         limit = "least failure" if budget is None else f"failure budget {budget:g}"
         if semantics.measure is not None:
@@ -427,7 +436,9 @@ class Solution(Facts, ReadOnlyCopies):
 
 
 def _least_after(model: SSP, quantity: Quantity) -> IntArray:
-    """Return the pairs that minimise a quantity after failing; UNDECIDED: all are equal, [states].
+    """Return for each state the pair that minimises a quantity after failing, [states].
+
+    UNDECIDED where all pairs are equal.
 
     Raises:
         ModelError: the quantity counts nothing after failing, or nothing can follow failing.
@@ -460,7 +471,7 @@ _ALL_FREE = "none: every step costs 0, so that policies differ only in failing"
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A method's answer, in terms of the quantity that it minimises."""
+    """A method's answer, in terms of the quantity that the method minimises."""
 
     policy: MixedPolicy | Policy
     value: float
@@ -478,11 +489,11 @@ class Answer:
 def assembled(
     problem: Problem, found: Answer, run: Run, sense: ObjectiveSense = AS_ASKED
 ) -> Solution:
-    """Return the solution in terms of the problem as stated.
+    """Return the solution of a problem as stated, given a method's answer.
 
     Args:
         problem: the problem.
-        found: the method's answer.
+        found: the method's answer, in terms of the quantity that it minimises.
         run: the method and its work.
         sense: relation between the minimised quantity and the objective of the problem.
 
@@ -516,10 +527,13 @@ def assembled(
 
 
 def as_solved(solution: Solution, verb: str) -> Solution:
-    """Return a solution with its policy and problem on the model that was solved (unrolled).
+    """Return a solution whose policy and problem are restated on the model that was solved.
+
+    This is the model of the unrolled problem; ``verb`` names the function that was called, for
+    errors.
 
     Raises:
-        ModelError: the argument is not a Solution; ``verb`` names the function that was called.
+        ModelError: the argument is not a Solution.
     """
     if not isinstance(solution, Solution):
         raise ModelError(f"{verb} takes a solution, such as solve(problem): {in_short(solution)}")
@@ -528,18 +542,19 @@ def as_solved(solution: Solution, verb: str) -> Solution:
 
 
 def gap_of_least_failure(failure: float, bound: float | None) -> float:
-    """Return the relative gap of a goal probability and its upper bound; rounding counts as 0.
+    """Return the relative gap between a goal probability and its upper bound, 0 within rounding.
 
     Args:
         failure: failure probability of the policy.
-        bound: bound of every policy's failure; None: the problem does not ask for least failure.
+        bound: lower bound of every policy's failure; None: the problem does not ask for least
+            failure.
     """
     proved = failure if bound is None else bound
     return relative_gap(1.0 - proved, 1.0 - failure) if failure - proved > ROUNDED else 0.0
 
 
 def unproved_failure(failure: float, bound: float | None) -> str:
-    """Return the interval of the least failure in words; empty if proved or not needed."""
+    """Return the interval of the least failure in words; empty if it is proved to rounding."""
     if bound is None or gap_of_least_failure(failure, bound) <= PROVED_OF_MANY:
         return ""
     return f"between {bound:.9g} and {failure:.9g}, not proved further"
@@ -550,7 +565,7 @@ CUT_SHORT = "stopped before the tolerance was met; the gap is still certified"
 
 
 def remarks(problem: Problem, granted: float, finished: bool) -> str:
-    """Return the notes on a solution: a budget raised to the least failure, a search cut short."""
+    """Return notes on a solution: a budget raised to the least failure, a search cut short."""
     budget, notes = problem.failure_budget, [CUT_SHORT] * (not finished)
     if budget is not None and granted > budget and not isinstance(budget, GoalShare):
         below = f"{granted - budget:.1e} below the least failure"

@@ -14,7 +14,15 @@ import numpy as np
 from ssp_lp.accumulated_cost.policy_layers import giving_up_where_lost
 from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
-from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, interrupted, until
+from ssp_lp.compiled.deadline import (
+    Deadline,
+    Stop,
+    WithIncumbent,
+    closing,
+    ensure_incumbent,
+    interrupted,
+    until,
+)
 from ssp_lp.dynamic_programming.evaluation import PROVED_OF_MANY
 from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.approaches import Case, approach_to, refusal
@@ -39,6 +47,8 @@ from ssp_lp.reductions.rounded_totals import rounded_down, solve_rounded
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities, and of a row relative to its size
+_SHORT = 1.0  # seconds for which an incumbent comes first
+_LARGE = 20_000  # outcomes of a model, from which on
 _SEARCH, _PROOF = logging.getLogger("ssp_lp.search"), logging.getLogger("ssp_lp.proof")
 
 
@@ -102,13 +112,15 @@ def solve(
 
 
 def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) -> Solution:
-    """Solve a problem that is already unrolled, and check the answer."""
+    """Solve a problem, and check the answer."""
     solution: Solution | None = None
     too_large: ModelError | None = None
     incumbent, inner = Incumbent(problem, options.deterministic), problem
     with until(options.deadline, prepare=incumbent.find) as deadline:
         with WithIncumbent() as search:
             inner, left = problem.unrolled, options.deadline - time.perf_counter()
+            if left < _SHORT and problem.model.n_outcomes > _LARGE:
+                ensure_incumbent()  # compiling the process may take longer
             by_program, by_game = options.program is not None, isinstance(method, Game)
             case = Case(inner, left, by_program, by_game=by_game)
             try:
@@ -128,7 +140,8 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
             with WithIncumbent():
                 bound = least_failure_bound(inner)
                 solution = replace(solution, least_failure_bound=bound)
-        if not problem.has_rows and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
+        is_alone = problem.counts_totals and not problem.has_rows
+        if is_alone and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
             with WithIncumbent():
                 solution = replace(solution, policy=giving_up_where_lost(solution.policy))
         if deadline.was_met:
@@ -152,11 +165,13 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
         strictest = max(demanding, key=lambda limit: limit.least_goal)
         notes.append(_redundant_budget(inner.failure_budget, strictest))
     note, status = "; ".join(filter(None, notes)), deadline.status(solution.gap, tolerance)
+    if (note, status) == (solution.note, solution.status):
+        return solution
     return replace(solution, note=note, status=status)
 
 
 def _redundant_budget(budget: float | None, limit: Condition) -> str:
-    """Return a note on a failure budget that no policy within a limit uses up; else empty."""
+    """Return a note on a failure budget that a limit makes redundant, else an empty text."""
     least = limit.least_goal
     if budget is None or budget >= 1.0 or least <= 1.0 - budget + LEAST_BUDGET:
         return ""
@@ -184,7 +199,7 @@ def _check_solution(solution: Solution, deadline: float | None) -> None:
 
     Args:
         solution: the answer.
-        deadline: end of the time for evaluating its policy for its limits; None: no time is left.
+        deadline: time at which evaluating the policy's limits must end; None: it is not evaluated.
 
     Raises:
         SolverError: a probability outside [0, 1], a violated budget or limit, weights that are no

@@ -1,11 +1,11 @@
 """A failure budget that holds for all probabilities in boxes: a lottery over plans, and a bound.
 
-Each plan of the lottery counts with its own worst cost and its own worst failure probability, so
-the lottery satisfies the budget whatever the probabilities are. The bound is the optimum of the
-problem at one choice of probabilities, the worst one for the best plan at some price of failure
-(Lagrange). The worst case of every lottery is at least this optimum. A gap between value and bound
-may remain, because the true worst case of a lottery has one choice of probabilities for all plans,
-not another one for each plan's cost and each plan's failure.
+A plan is a deterministic policy. Each plan of the lottery counts with its own worst cost and its
+own worst failure probability, so the lottery satisfies the budget whatever the probabilities are.
+The bound is the optimum of the problem at one choice of probabilities: the worst choice for the
+best plan at some price of failure (Lagrange). The worst case of every lottery is at least this
+optimum. A gap between value and bound may remain, because in the true worst case of a lottery all
+plans have the same probabilities, for cost and failure alike.
 """
 
 from __future__ import annotations
@@ -49,8 +49,9 @@ _BESIDE = 50  # most plans that differ from one in a single state
 class Tightened(Facts):
     """A lottery that satisfies a failure budget at all probabilities in boxes, and a lower bound.
 
-    ``objective`` and ``failure_probability`` bound the lottery's cost and failure from above at all
-    probabilities; ``lower_bound`` bounds the worst cost of every policy that satisfies the budget.
+    ``objective`` and ``failure_probability`` are upper bounds of the lottery's cost and failure at
+    all probabilities. ``lower_bound`` is a lower bound of the worst cost of every policy that
+    satisfies the budget.
     """
 
     policy: MixedPolicy
@@ -62,7 +63,7 @@ class Tightened(Facts):
 
     @property
     def gap(self) -> float:
-        """Relative gap between the objective and the lower bound; it need not close."""
+        """Relative gap between the objective and the lower bound, which may remain above 0."""
         return two_sided_gap(self.objective, self.lower_bound)
 
     def tables(self) -> list[Table]:
@@ -86,23 +87,23 @@ def tighten(
 ) -> Tightened:
     """Find a lottery that satisfies a failure budget at all probabilities in boxes.
 
-    Column generation. At a price of failure, the plan with the best worst case is computed, then
-    the optimal lottery at these worst probabilities. Both give plans, and the lottery gives a
-    bound. The next price is the price of this lottery, or of the best lottery over the plans found
-    so far. At the end the plans of the lottery are changed, in all states or in one, while this
-    improves it.
+    Computed by column generation over plans, which are deterministic policies. In each round the
+    plan with the best worst case is computed at a price of failure, then the optimal lottery at the
+    worst probabilities for this plan, which gives more plans and a bound. The next price is that of
+    this lottery, or of the best lottery over all plans so far. Finally the plans of the best
+    lottery are changed, in all states or in one, as long as this improves the lottery.
 
     Args:
         problem: ``MCMP`` with a failure budget.
-        box: box of the problem's model.
+        box: boxes of the problem's model.
         tolerance: relative gap at which to stop, and distance below which two prices count as
             equal.
         time_limit: seconds after which the best lottery so far is returned.
 
     Raises:
-        ModelError: another criterion, no budget, a share of the goal, or as ``FinitePenalty`` over
-            boxes: constraints, a horizon, a discount, ``give_up="dead_ends"``, a charge that
-            depends on the successor.
+        ModelError: another criterion, no budget, or a share of the goal probability; and as in
+            ``FinitePenalty`` over boxes: constraints, a horizon, a discount,
+            ``give_up="dead_ends"``, or a charge that depends on the successor.
         InfeasibleError: every policy fails with more than the budget at some probabilities.
         OutOfTimeError: the time limit passed before there was a lottery.
 
@@ -143,7 +144,7 @@ def tighten(
 
 @dataclass(eq=False)
 class _Pool:
-    """Plans with their worst cost and worst failure, and the bounds at the prices tried."""
+    """Plans (deterministic policies) with their worst cost and failure, and a lower bound."""
 
     problem: Problem
     box: Boxes
@@ -156,7 +157,7 @@ class _Pool:
     tried: list[float] = field(default_factory=list)
 
     def add(self, decision: IntArray) -> None:
-        """Add the plan with these decisions, [states], with its worst cost and failure."""
+        """Add the plan with these decisions, [states], if its worst cost is finite."""
         policy = DeterministicPolicy(self.problem.model, decision)
         worst = worst_case(policy, self.problem, self.box)
         if np.isfinite(worst.objective):
@@ -168,7 +169,7 @@ class _Pool:
         return secant(cost, failure, np.array([self.problem.failure_budget]))
 
     def prices(self, first: float, tolerance: float) -> Iterator[float]:
-        """Yield prices of failure until the gap is closed or no price is new."""
+        """Yield prices of failure to try, until the gap is closed or no further price is new."""
         price = first
         while len(self.tried) < MOST_ROUNDS:
             self.tried.append(price)
@@ -183,7 +184,7 @@ class _Pool:
                 return
 
     def refine(self, tolerance: float) -> None:
-        """Add plans beside those of the lottery until it is no better, or the gap is closed."""
+        """Add plans similar to those of the best lottery, as long as this improves the lottery."""
         value = np.inf
         while (best := self.lottery()).value < value and not is_late():
             plans, value = [*self.plans.values()], best.value * (1.0 - IMPROVEMENT)
@@ -194,10 +195,12 @@ class _Pool:
                     self.add(decision)
 
     def _beside(self, plan: Policy, price: float) -> Iterator[IntArray]:
-        """Yield a plan with all actions that seem better than a plan's own, then plans with one.
+        """Yield the decisions of plans that differ from a given plan, [states] each.
 
-        An action is worth its worst cost plus the price times its worst failure, if the given plan
-        follows it; both worst cases have their own probabilities. The best actions come first.
+        The first one takes every action that seems better than the plan's own. The others differ in
+        one state each, the best first. An action's value is its worst cost plus the price times its
+        worst failure, if the given plan is followed afterwards; each of the two has its own worst
+        probabilities.
         """
         box, model, start = self.box, self.box.support, self.problem.start_mass
         reached = np.zeros(model.n_states, dtype=np.bool_)
@@ -242,7 +245,7 @@ class _Pool:
 
 
 def _safest(problem: Problem, box: Boxes) -> _Pool:
-    """Return a pool with the plan whose worst failure probability is least.
+    """Return a pool with one plan: that of least worst failure probability.
 
     Raises:
         InfeasibleError: even this plan's worst failure probability exceeds the budget.

@@ -64,11 +64,11 @@ def _run_command(asked: Mapping[str, Any]) -> int:
 
 
 def _warn_on_command_line(message: Warning | str, *_: object, **__: object) -> None:
-    """Write a warning to standard error as a line of the command."""
+    """Write a warning to standard error in the form of the command's own messages."""
     _tell(f"warning: {message}")
 
 
 def _tell(words: str, code: int = 0) -> int:
-    """Print a message to standard error and return the exit code."""
+    """Print a message to standard error, and return ``code``, the exit code."""
     print(f"ssp-lp: {words}", file=sys.stderr)
     return code

@@ -58,29 +58,33 @@ def number_argument(text: str) -> Fraction:
 
 
 def _float_argument(text: str) -> float:
-    """Return a number, 0.05 or 5%."""
+    """Return the number in a text such as 0.05 or 5%."""
     return float(number_argument(text))
 
 
 def _number_or_none(text: str) -> float | None:
-    """Return a number, or None for "none"."""
+    """Return the number in a text, or None for "none"."""
     return None if text == "none" else _float_argument(text)
 
 
 def _budgets_argument(text: str) -> float | list[float | None] | None:
-    """Return a number, None for "none", or the list of these for a text with commas."""
+    """Return the budget in a text: a number, or None for "none"; for a text with commas a list."""
     several = [_number_or_none(one) for one in text.split(",")]
     return several if len(several) > 1 else several[0]
 
 
 def _criterion_argument(text: str) -> str:
-    """Return the key in ``CRITERIA`` of a name in any spelling: ``min-cost``, ``MinCost``."""
+    """Return a criterion's key in ``CRITERIA``, given its name in any spelling.
+
+    Both ``min-cost`` and ``MinCost`` are accepted. A text that is no criterion is returned
+    unchanged.
+    """
     letters = re.sub("[-_]", "", text).lower()
     return next((name for name in CRITERIA if name.replace("-", "") == letters), text)
 
 
 def _steps_argument(text: str) -> int | str | None:
-    """Return a horizon: a number of steps, None for "none", or "env"."""
+    """Return the horizon in a text: a number of steps, None for "none", or "env"."""
     if text in ("env", "none"):
         return text if text == "env" else None
     if text.isdecimal():
@@ -89,7 +93,11 @@ def _steps_argument(text: str) -> int | str | None:
 
 
 def option(name: str, value: object = ...) -> str:
-    """Return the option for a Python argument, such as ``--discount 0.9`` or ``--no-check``."""
+    """Return the command-line option for a Python argument.
+
+    Examples are ``--discount 0.9`` and ``--no-check``. If no value is given, only the option's name
+    is returned.
+    """
     flag = name.replace("_", "-")
     if isinstance(value, bool):
         return f"--{flag}" if value else f"--no-{flag}"
@@ -153,7 +161,7 @@ class _Completion(Action):
 
 
 class _OneLineParser(ArgumentParser):
-    """A parser whose errors are one line: ``--help`` shows the usage, errors do not."""
+    """A parser whose error messages are one line, without the usage."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Parse arguments; the error for an unknown one suggests a similar one."""
@@ -229,7 +237,7 @@ Options = dict[str, dict[str, Any]]
 
 
 def _add_all(place: Any, options: Options) -> None:
-    """Add options to a parser or a group; shells complete the names of files and models."""
+    """Add options to a parser or a group, with completion of the names of files and models."""
     for name, settings in options.items():
         added = place.add_argument(name, **settings)
         if settings.get("metavar") in ("MODEL", "FILE"):
@@ -237,12 +245,12 @@ def _add_all(place: Any, options: Options) -> None:
 
 
 def _taken(text: str, metavar: str, kind: Callable[[str], Any] = str, **more: Any) -> Any:
-    """Return argparse's settings of an option with a value."""
+    """Return the settings for argparse of an option that takes a value."""
     return {"help": text, "metavar": metavar, "type": kind, **more}
 
 
 def _switch(text: str, **more: Any) -> Any:
-    """Return argparse's settings of a flag."""
+    """Return the settings for argparse of an option without a value."""
     return {"help": text, "action": "store_true", **more}
 
 

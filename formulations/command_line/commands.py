@@ -45,7 +45,7 @@ Asked = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class _CommandModel:
-    """A model with its start, and the Gymnasium environment from which it was made, if any."""
+    """A model with its start and, if it was made from one, its Gymnasium environment."""
 
     asked: Asked
     model: SSP
@@ -66,7 +66,7 @@ class _CommandModel:
 
     @property
     def written_out(self) -> tuple[SSP, Start | None]:
-        """The model and its start; with a horizon, the model whose states count steps.
+        """Return the model and its start; with a horizon, those of the product that counts steps.
 
         Raises:
             ModelError: a horizon without a start.
@@ -102,7 +102,7 @@ def command_model(asked: Asked) -> _CommandModel:
 
 
 def _model_of_environment(asked: Asked) -> _CommandModel:
-    """Make a Gymnasium environment and its model."""
+    """Return the model of the Gymnasium environment that a command names."""
     gymnasium = optional_module("gymnasium", "gym")
     name, *words = asked["model"].removeprefix(_ENVIRONMENT).split(",")
     arguments = {key: _value_for_model(word) for key, _, word in (w.partition("=") for w in words)}
@@ -124,7 +124,7 @@ def _model_of_environment(asked: Asked) -> _CommandModel:
 
 
 def _value_for_model(word: str) -> Any:
-    """Return the Python or JSON value that a word stands for, or the word itself."""
+    """Return the value that a word stands for in Python or JSON, or else the word itself."""
     for read in (literal_eval, json.loads):
         with suppress(ValueError, SyntaxError):
             return read(word)
@@ -132,7 +132,7 @@ def _value_for_model(word: str) -> Any:
 
 
 def _state_named(model: SSP, word: str) -> Hashable:
-    """Return the state that a word names; the word itself if there is none."""
+    """Return the state of a model that a word names; the word itself if no state fits."""
     return next((state for state in model.states if str(state) == word), word)
 
 
@@ -242,7 +242,7 @@ class _Operator(NamedTuple):
 
 
 def with_property(asked: Asked) -> Asked:
-    """Return the arguments of a command, including those that a PRISM property states.
+    """Return the arguments of a command, with those that its PRISM property states.
 
     The operator with =? gives the criterion, and P>= gives the least goal probability. The other
     operators become limits: P<= on the probability of an end, R<= on a cost. As everywhere in this
@@ -324,7 +324,10 @@ def json_answer(answer: Any) -> list[str]:
 
 
 def _csv_answer(path: str, table: Table) -> list[str]:
-    """Return a table as lines of CSV; or write them to a file, and return no lines."""
+    """Return the lines of a table as CSV if the path is "-"; else write them to the file.
+
+    After writing a file, there are no lines to return.
+    """
     if path == "-":
         return table.csv().splitlines()
     Path(path).write_text(table.csv(), encoding="utf-8")
@@ -332,13 +335,13 @@ def _csv_answer(path: str, table: Table) -> list[str]:
 
 
 def with_options(error: ssp_lp.SSPError) -> str:
-    """Return the message of an error with options in place of Python's arguments."""
+    """Return an error's message, with command-line options in place of Python's arguments."""
     return "".join(option(*one) if isinstance(one, Argument) else str(one) for one in error.args)
 
 
 @contextmanager
 def picture(path: str | None) -> Iterator[Axes | None]:
-    """Yield axes, and save what was drawn on them to a file; without a name yield None.
+    """Yield new axes, and save the drawing on them to a file; None without a path.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -366,7 +369,6 @@ _WRITERS: dict[str, Callable[[Any, str], object]] = {
 
 
 def _solve_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``solve`` and return its lines."""
     out = asked["policy_out"]
     write = None if out is None else _WRITERS.get(Path(out).suffix)
     if out is not None and write is None:  # before the solve
@@ -469,7 +471,7 @@ def _solution_in_json(solution: Solution) -> dict[str, Any]:
 
 
 def _decisions(policy: Policy) -> dict[str, Any]:
-    """Return the actions of a deterministic policy by state; the repr of another policy."""
+    """Return the actions of a deterministic policy by state; for another policy its repr."""
     inner = policy.inner if isinstance(policy, RememberingPolicy | LabelledPolicy) else policy
     if not isinstance(inner, ssp_lp.DeterministicPolicy):
         return {"kind": repr(policy)}
@@ -477,13 +479,11 @@ def _decisions(policy: Policy) -> dict[str, Any]:
 
 
 def _traced_frontier(of: _CommandModel) -> ssp_lp.Frontier:
-    """Return the frontier that a command traces."""
     limits = {name: of.asked[name] for name in ("over", "gap", "point_limit", "time_limit")}
     return ssp_lp.trace_frontier(problem_of(of), **limits)
 
 
 def _explore_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``explore`` and return its lines."""
     of, out = command_model(asked), asked["out"]
     traced = _traced_frontier(of)
     world = of.environment and of.environment.unwrapped
@@ -495,7 +495,6 @@ def _explore_command(asked: Asked) -> Iterable[str]:
 
 
 def _frontier_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``frontier`` and return its lines."""
     with picture(asked["plot"]) as ax:
         traced = _traced_frontier(command_model(asked))
         if ax is not None:
@@ -509,7 +508,6 @@ def _frontier_command(asked: Asked) -> Iterable[str]:
 
 
 def _info_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``info`` and return its lines."""
     model, start = command_model(asked).written_out
     names = list(map(str, model.action_names))
     facts: dict[str, Any] = {
@@ -531,7 +529,6 @@ def _info_command(asked: Asked) -> Iterable[str]:
 
 
 def _simulate_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``simulate`` and return its lines."""
     check_whole("seed", asked["seed"], 0)
     of = command_model(asked)
     problem = MCMP(of.model, of.start, failure_budget=1.0, horizon=of.horizon)
@@ -550,7 +547,6 @@ def _simulate_command(asked: Asked) -> Iterable[str]:
 
 
 def _convert_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``convert`` and return its lines."""
     model, start = command_model(asked).written_out
     if asked["target"] == "-":
         return ["".join(model_in_json(model, start)).rstrip()]
@@ -559,7 +555,6 @@ def _convert_command(asked: Asked) -> Iterable[str]:
 
 
 def _program_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``program`` and return its lines."""
     program = program_of(problem_of(command_model(asked)))
     if asked["out"] is not None:
         program.write(asked["out"])
@@ -567,7 +562,6 @@ def _program_command(asked: Asked) -> Iterable[str]:
 
 
 def _what_if_command(asked: Asked) -> Iterable[str]:
-    """Run the command ``what-if`` and return its lines."""
     with picture(asked["plot"]) as ax:
         solution = ssp_lp.solve(problem_of(command_model(asked)))
         effects = solution.what_if(time_limit=asked["time_limit"])

@@ -139,21 +139,23 @@ _MOSTLY_STAYS = 0.5
 
 
 class _LayerPower(NamedTuple):
-    """The effect of passing 2^k layers on mass that waits at each place."""
+    """The state of mass after 2^k layers: still waiting, at the goal, or lost.
+
+    Mass waits at the places of :class:`_LayerPowers`.
+    """
 
     onward: FloatArray  # [places, places]
     lands: FloatArray  # [places] probability of having reached the goal
     leaves: FloatArray  # [places] probability of having lost the goal
 
     def scaled(self) -> _LayerPower:
-        """Return the power with each row rescaled to 1 minus its probability of leaving."""
+        """Return the power with rows of ``onward`` rescaled so that all probabilities sum to 1."""
         exits, total = self.lands + self.leaves, self.onward.sum(axis=1)
         stays = exits <= _MOSTLY_STAYS
         factor = np.divide(1.0 - exits, total, out=np.ones_like(exits), where=stays)
         return self._replace(onward=self.onward * factor[:, None])
 
     def doubled(self) -> _LayerPower:
-        """Return the effect of passing twice as many layers."""
         lands = self.lands + self.onward @ self.lands
         leaves = self.leaves + self.onward @ self.leaves
         return _LayerPower(self.onward @ self.onward, lands, leaves).scaled()
@@ -186,11 +188,10 @@ class _LayerPowers:
 
     @property
     def size(self) -> int:
-        """Number of places."""
         return len(self.node)
 
     def _one_layer(self) -> _LayerPower:
-        """Return the effect of one layer: mass of delay 0 moves on, other delays fall by 1."""
+        """Return the effect of passing a layer: mass of delay 0 moves, other delays fall by 1."""
         n_nodes = len(self._lost) + 1
         columns = np.append((self.delay + 1) * n_nodes + self.node, n_nodes - 1)
         leaving = np.hstack([self._onward[:, columns].toarray(), self._lost[:, None]])
@@ -219,14 +220,14 @@ class _LayerPowers:
         return arrived, waiting
 
     def until(self, waiting: FloatArray, mass: float) -> int | None:
-        """Return the number of layers before the one in which arrivals reach a mass.
+        """Return the number of layers before the one that raises the arrived mass to ``mass``.
 
         Args:
             waiting: mass before the first layer, [places].
             mass: above 0.
 
         Returns:
-            The layers, or None if 2^62 are not enough.
+            The number of layers, or None if 2^62 are not enough.
         """
         k = 0
         while float(waiting @ self._level(k).lands) < mass:
@@ -263,14 +264,15 @@ _WORK_OF_POWERS = 0.125  # work of the powers, in moves per places cubed
 class Arrivals:
     """A forward sweep over the total cost of a chain, in layers of a unit. Mutable.
 
-    Mass waits at (layer of its total, node). The layers are settled in increasing order: the mass
-    of a layer is spread over the moves of cost 0, and then sent along the other moves to later
-    layers. The mass at the goal is the layer's atom of the law. Waiting mass is stored in a ring
-    buffer of as many layers as the most expensive move passes.
+    Mass waits at (layer, node); the layer is the cost paid so far. The layers are settled in
+    increasing order: the mass of a layer is spread over the moves of cost 0, and then sent along
+    the other moves to later layers. The mass that is at the goal when a layer is settled is the
+    probability of this total cost. Waiting mass is stored in a ring buffer, which has a row for
+    each layer that the most expensive move passes.
 
     Linear solves give the goal probability and the expected cost from each node. The remaining
-    probability and cost of unsettled mass are computed from them, not as differences of large
-    numbers. For few nodes, powers of a matrix lead to layers far beyond the settled ones
+    probability and cost of unsettled mass are computed from these, not as differences of large
+    numbers. If there are few nodes, powers of a matrix lead to layers far beyond the settled ones
     (:attr:`leaps`).
 
     Raises:
@@ -419,7 +421,7 @@ class Arrivals:
         return arrived + self._ahead(layer)[0] if layer > self.settled and self.leaps else arrived
 
     def first_reaching(self, mass: float) -> int:
-        """Return the unsettled layer up to which the arrivals together reach a mass.
+        """Return the first layer up to which the arrivals sum to a mass; it must be unsettled.
 
         :attr:`leaps` must be true.
 
@@ -433,7 +435,7 @@ class Arrivals:
         return self.settled + layers
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Return Pr(goal) and E[C - r; goal] of arrivals from a layer of total cost r on.
+        """Return Pr(goal, C >= r) and E[C - r; goal, C >= r], where r is the total cost of a layer.
 
         Args:
             layer: the layer; None: the first one that is not settled. For a later one :attr:`leaps`
@@ -451,7 +453,6 @@ class Arrivals:
 
     @cached_property
     def _powers(self) -> _LayerPowers:
-        """Effects of passing 1, 2, 4, ... layers."""
         return _LayerPowers(self._onward, self._live.lost, self._free)
 
     def _here(self) -> FloatArray:
@@ -464,7 +465,7 @@ class Arrivals:
         return self._powers.after(self._here(), layer - self.settled)
 
     def _to_next(self) -> int | None:
-        """Return the number of layers to the next waiting mass; None: there is none."""
+        """Return the number of layers to the next waiting mass, or None if no mass waits."""
         row = self.settled % self._width
         for begin, part in ((0, self._occupied[row:]), (-row, self._occupied[:row])):
             first = int(np.argmax(part)) if part.size else 0
@@ -473,7 +474,6 @@ class Arrivals:
         return None
 
     def _settle_one(self) -> None:
-        """Settle one more layer."""
         row, size = self.settled % self._width, self._size
         here = self._waiting[row * size : (row + 1) * size]
         visits = here[:-1].copy()
@@ -592,9 +592,10 @@ class FollowedSums(Arrivals):
             exact_costs: float cost -> the fraction that it stands for.
             coarse: unit to whose multiples unlikely sums are rounded up.
             most: most sums that are followed exactly.
-            rarest: limit after ``most`` sums: a sum is unlikely if its share of the successes is
-                lower. The limit rises to this value from ``UNLIKELY``, which is below rounding. If
-                it is higher than that, all sums after ``most`` are rounded up.
+            rarest: a sum is unlikely if its share of the successes is below a limit. This limit
+                rises from ``UNLIKELY``, which is below rounding, to ``rarest`` when ``most`` sums
+                have been followed. If ``rarest`` exceeds ``UNLIKELY``, all later sums are rounded
+                up.
         """
         distinct, step = np.unique(live.paid, return_inverse=True)
         unit = common_unit(distinct, exact_costs)
@@ -624,7 +625,7 @@ class FollowedSums(Arrivals):
         return np.array(totals, dtype=np.float64).reshape(np.shape(layers))
 
     def last_layer(self, bound: float | Fraction) -> int:
-        """Return the last layer within a bound; a sum may exceed it by rounding."""
+        """Return the last layer whose total cost is at most a bound, up to rounding."""
         return int(Fraction(bound) * (1 + Fraction(SAME_TOTAL) / 2) // self.unit)
 
     def settle(self, layers: int) -> None:
@@ -662,13 +663,13 @@ class FollowedSums(Arrivals):
 
     @property
     def _may_be_exhausted(self) -> bool:
-        """Whether few enough sums were followed, and enough mass has arrived, to go on."""
+        """Whether the sweep may go on: few sums so far, or enough mass that reached the goal."""
         if self._followed <= _EARLY * self._most:
             return self._followed <= self._end and len(self._units) <= _MOST_STEPS
         return self._followed <= self._end and self._arrived >= _SOME * self._goal
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Return Pr(goal) and E[C - r; goal] of the unsettled sums; r: total cost of a layer."""
+        """Return Pr(goal, C >= r) and E[C - r; goal, C >= r]; r is the total cost of a layer."""
         goal, cost, frontier = 0.0, 0.0, self.settled if layer is None else layer
         for begun, parts in self._pending.items():
             delay = float((begun - frontier) * self.unit)
@@ -679,7 +680,7 @@ class FollowedSums(Arrivals):
         return goal, cost
 
     def _settle_sum(self, layer: int) -> None:
-        """Settle the least waiting sum, ``layer`` units."""
+        """Settle the least sum with waiting mass; the sum is ``layer`` units."""
         parts = self._pending.pop(layer)
         nodes = np.concatenate([part[0] for part in parts])
         masses = np.concatenate([part[1] for part in parts])

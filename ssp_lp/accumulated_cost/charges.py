@@ -1,9 +1,10 @@
 """Charges: functions of the total cost at the goal, for many criteria on one process.
 
 On the accumulated-cost process (paper, section 3.1.1) a run that reaches the goal at total cost c
-is charged ``charge(c)``, and a run that fails is charged 0. The total cost itself gives S3P; a
-step, a kink or a utility gives bounded reach, the conditional value at risk, or GUBS. A negative
-charge is a reward. Charges do not fall as the total cost grows.
+is charged ``charge(c)``, and a run that fails is charged 0. If the charge is the total cost itself,
+the criterion is S3P; a step function gives bounded reach, a function with a kink the conditional
+value at risk, a utility GUBS. A negative charge is a reward. Charges do not fall as the total cost
+grows.
 
 A measure is a number that is computed from the *law of success costs* of a policy: the
 sub-probability law of the total cost C on the runs that reach the goal. Its missing mass is the
@@ -80,7 +81,7 @@ class TailValues(NamedTuple):
     def stacked(
         cls, policies: Sequence[TailValues], seen: Callable[[FloatArray], FloatArray]
     ) -> TailValues:
-        """Return the values of several policies as rows, each array mapped by ``seen``."""
+        """Stack the values of several policies as rows; ``seen`` maps each array first."""
         return cls(
             *(np.array([seen(each) for each in same]) for same in zip(*policies, strict=True))
         )
@@ -119,7 +120,7 @@ class Charge(ABC):
 
     @property
     def is_concave(self) -> bool:
-        """Whether the charge is concave: linear interpolation never exceeds it."""
+        """Whether the charge is concave, so that linear interpolation never exceeds it."""
         return False
 
     @abstractmethod
@@ -128,7 +129,7 @@ class Charge(ABC):
 
     @property
     def settled(self) -> float | None:
-        """Total cost beyond which the charge is affine; None: never."""
+        """Total cost beyond which the charge is affine; None if it never is."""
         return 0.0
 
     def is_affine_beyond(self, total: float) -> bool:
@@ -137,7 +138,7 @@ class Charge(ABC):
         return bool(np.isclose(float(self.at(np.array([total]))[0]), line, rtol=1e-9))
 
     def lossless(self, price: float) -> float:
-        """Return the total at which the affine part reaches a price of failing; 0 if flat."""
+        """Return the total at which the affine part equals a price of failing; 0 if constant."""
         return max((price - self.offset) / self.slope, 0.0) if self.slope > 0.0 else 0.0
 
     def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
@@ -211,7 +212,7 @@ class ExcessCharge(Charge):
         return 1.0 / self.share
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """Return the integrand or its lower bound, in the shape of ``totals``."""
+        """Return the charge at total costs, in the shape of ``totals``."""
         late = np.maximum(np.asarray(totals) - self.threshold, 0.0)
         first = self.threshold if self.first is None else self.first
         return np.asarray(np.clip(totals, first, self.threshold) + late * self.slope)
@@ -231,7 +232,7 @@ class Measure(ABC):
 
     @property
     def failing(self) -> float:
-        """Worth of a run that fails, if the measure is an expectation."""
+        """Value of a run that fails, if the measure is an expectation."""
         return float("inf")
 
     @property
@@ -241,7 +242,7 @@ class Measure(ABC):
 
     @property
     def charge(self) -> Charge:
-        """The charge whose expectation is the measure, or the first one of a search."""
+        """Charge whose mean is the measure or, for a risk measure, with which its search begins."""
         return TOTAL_COST
 
     @abstractmethod
@@ -250,18 +251,18 @@ class Measure(ABC):
 
 
 class Reward(Charge, Measure):
-    """A maximised expectation; its charge is the worth of failing minus that of success."""
+    """A maximised expectation; the charge is the value of failing minus the value of success."""
 
     maximised = is_expectation = True
 
     @property
     def failing(self) -> float:
-        """Worth of a run that fails: 0."""
+        """Value of a run that fails: 0."""
         return 0.0
 
     @property
     def charge(self) -> Charge:
-        """The reward itself."""
+        """This object, which is a charge as well."""
         return self
 
 
@@ -297,7 +298,7 @@ class ExpectedUtility(Reward):
 
     @property
     def failing(self) -> float:
-        """The utility of infinite cost, the worth of a run that fails."""
+        """Utility of a run that fails: the utility of infinite cost."""
         return self.at_infinity
 
     @property
@@ -339,8 +340,8 @@ class ExpectedUtility(Reward):
 class ExponentialUtility(Reward):
     """E[exp(rate * total cost); goal] + bonus * Pr(goal), rate < 0 (eGUBS).
 
-    The utility of a sum of costs is the product of their utilities, so that the worth of following
-    a tail is exact at every cost paid before.
+    The utility of a sum of costs is the product of their utilities. So the expected utility of a
+    tail policy is known exactly, whatever cost was paid before.
     """
 
     rate: float

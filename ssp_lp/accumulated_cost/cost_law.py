@@ -54,8 +54,8 @@ class CostLaw:
 
     Very unlikely sums are rounded up. If there are too many likely sums, every cost is rounded up,
     by less than a two-thousandth of the mean. If the policy itself rounds costs up to a finer unit,
-    this unit is used. Rounding never understates a total, quantile, excess or late arrival, and
-    never overstates a utility.
+    this unit is used. Rounding never understates a total, a quantile, an excess or the probability
+    to exceed a bound, and never overstates a utility.
     """
 
     _chains: tuple[Chain, ...]  # chains of the members of the lottery
@@ -95,7 +95,6 @@ class CostLaw:
         _check_cost_number(bound, "bound")
 
         def arrived(arrivals: Arrivals) -> float:
-            """Return the mass that arrives within the bound."""
             last = arrivals.last_layer(bound)
             for _ in arrivals.followed(last + 1):
                 if arrivals.leaps or arrivals.remaining()[0] <= UNLIKELY * self.goal:
@@ -112,7 +111,6 @@ class CostLaw:
             return 0.0
 
         def beyond(arrivals: Arrivals) -> float:
-            """Return the expected excess of arrivals."""
             last = arrivals.last_layer(float(threshold))
             for settled in arrivals.followed(last + 1):
                 if settled > last:
@@ -146,7 +144,6 @@ class CostLaw:
         needed = level * self.goal * (1.0 - QUANTILE)
 
         def reached(arrivals: Arrivals) -> float:
-            """Return the first total at which the level is reached."""
             for _ in arrivals.followed():
                 layers, masses = arrivals.atoms()
                 total = np.cumsum(masses)
@@ -185,7 +182,7 @@ class CostLaw:
             raise ModelError(f"rate must be a number of at most 0, not {in_short(rate)}")
 
         def discounted(chain: Chain) -> float:
-            """Return a member's expectation; a step's factor exp(rate * cost) is a discount."""
+            """Return E[exp(rate * C); goal] of a chain: exp(rate * cost) discounts each step."""
             lost, factor = chain.per_node(-np.expm1(rate * chain.cost)), np.exp(rate * chain.cost)
             chance, give_up = chain.probability * factor, chain.give_up + lost
             tilted = replace(chain, probability=chance, give_up=give_up)
@@ -216,7 +213,7 @@ class CostLaw:
             return utilities(utility, costs) - at_infinity
 
         def gained(arrivals: Arrivals) -> float:
-            """Return the expected gain, followed until the rest is negligible."""
+            """Return the expected gain, summed until the gain of later arrivals is negligible."""
             for _ in arrivals.followed():
                 layers, masses = arrivals.atoms()
                 settled_gain = float(masses @ gain(arrivals.cost_of(layers)))
@@ -235,7 +232,6 @@ class CostLaw:
         _check_cost_number(bound, "bound")
 
         def atoms(arrivals: Arrivals) -> Atoms:
-            """Return the atoms within the bound."""
             last = arrivals.last_layer(bound)
             for _ in arrivals.followed(last + 1):
                 pass
@@ -247,7 +243,7 @@ class CostLaw:
 
     @explained
     def all_but(self, mass: float) -> Atoms:
-        """Return the atoms in order of cost, without the last ones of at most ``mass`` together.
+        """Return the atoms by increasing cost, without the last ones of total mass up to ``mass``.
 
         Raises:
             ModelError: the mass is not above 0.
@@ -256,7 +252,6 @@ class CostLaw:
             raise wrong_argument("mass", "be above 0", mass, ": give a small one, such as 1e-9")
 
         def atoms(arrivals: Arrivals) -> Atoms:
-            """Return the atoms except the last ones."""
             for _ in arrivals.followed():
                 if arrivals.remaining()[0] <= mass:
                     break
@@ -273,10 +268,10 @@ class CostLaw:
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 
     def _answer(self, question: Callable[[Arrivals], _Answer]) -> _Answer:
-        """Return a function's result for the first sweep that can compute it.
+        """Return the result of a function on the first sweep for which it does not fail.
 
         Raises:
-            ModelError: no sweep can: each raises ModelError.
+            ModelError: the function raises ModelError on every sweep.
         """
         refused = list[ModelError]()
         for sweep in self._sweeps():
@@ -304,12 +299,12 @@ class CostLaw:
 
     @cached_property
     def _live(self) -> LiveChain:
-        """Chains of the members side by side, as far as they can reach the goal."""
+        """The chains of the lottery's members as one chain, without nodes that lose the goal."""
         return LiveChain.of(self._chains, self._weights)
 
     @cached_property
     def _layers(self) -> Arrivals | None:
-        """Arrivals in layers of the common unit; None: there are too many layers."""
+        """Arrivals in layers of the common unit; None if there are too many layers."""
         try:
             return Arrivals(self._live, self._exact_costs)
         except ModelError:
@@ -327,7 +322,7 @@ class CostLaw:
 
     @cached_property
     def _rounded_sweep(self) -> Arrivals:
-        """Arrivals with costs rounded up to the policy's unit, if finer, or the coarse unit."""
+        """Arrivals with costs rounded up to the finer of the policy's unit and the coarse unit."""
         if self._rounded:
             counted = Arrivals(LiveChain.of(self._rounded, self._weights), self._exact_costs)
             if counted.unit <= self._coarse_unit:

@@ -59,17 +59,17 @@ def pairs_keeping_goal(model: SSP, greatest: GoalReach) -> BoolArray:
     """Return a mask of the pairs that preserve the greatest goal probability, [pairs].
 
     Pairs with a relative loss of at most ``FAILURE_FLOOR`` are included, since such a pair may be
-    optimal at any accumulated cost that is computed. What a tail loses by these pairs is included
-    in the gap between its value and the bound.
+    optimal at any accumulated cost that is computed. A tail that uses such pairs loses a little;
+    this loss is part of the gap between its value and the bound.
     """
     floor = FAILURE_FLOOR * greatest.goal[model.pair_state]
     return greatest.usable | (_lost_goal(model, greatest) <= floor)
 
 
 def _lost_goal(model: SSP, greatest: GoalReach) -> FloatArray:
-    """Return the goal probability that is lost by taking a pair once, [pairs].
+    """Return the goal probability that is lost by taking each pair once, [pairs].
 
-    Before and after the pair the goal probability is the greatest one.
+    All decisions after the pair attain the greatest goal probability.
     """
     here = greatest.goal[model.pair_state]
     return np.asarray(here - successor_means(model, greatest.goal))

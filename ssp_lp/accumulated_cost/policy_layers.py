@@ -35,7 +35,7 @@ from ssp_lp.compiled.deadline import backward, check_time, pieces
 from ssp_lp.dynamic_programming.equations import System, strong_components
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states, dead_ends, goal_pairs, nearer_pairs, reached_along
+from ssp_lp.model.graph import attention_states, dead_ends, nearer_pairs, reached_along
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy
 from ssp_lp.policies.chain import Chain, policy_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, CostLayers, DeterministicPolicy, Policy
@@ -52,7 +52,7 @@ _LOG = logging.getLogger("ssp_lp.evaluation")
 
 @dataclass(frozen=True, eq=False)
 class _Staying:
-    """Moves of cost 0, which stay within a layer, among k states."""
+    """Moves of cost 0, which stay within a layer, among k of its states."""
 
     share: sp.csr_array  # [k, k] probabilities
     paid: sp.csr_array  # [k, k] probabilities times cost
@@ -109,7 +109,7 @@ class LayerMoves:
 
     @cached_property
     def classes(self) -> IntArray:
-        """Index of each outcome's cost among the distinct costs, [outcomes]; empty if only one."""
+        """Index of each outcome's cost among the distinct costs, [outcomes]; one cost: empty."""
         costs, model = self.layers.costs, self.model
         if len(costs) == 1:
             return _NO_CLASSES
@@ -133,9 +133,9 @@ class LayerMoves:
         return np.where(self.acting[states], pair, ENDED)
 
     def ring(self, layer: int) -> IntArray:
-        """Return the row of the ring buffer to which a class of steps leads, [classes].
+        """Return the row of the ring buffer to which each class of steps leads, [classes].
 
-        -1: the steps stay in the layer.
+        The row is -1 if the steps stay in the layer.
         """
         leads, room = self.layers.leads(layer), self.room
         ring = leads + layer % room
@@ -145,7 +145,7 @@ class LayerMoves:
 
     @cached_property
     def free_order(self) -> IntArray:
-        """States of a layer, each after those reached by its free moves, [states]."""
+        """States of a layer, each after the states that it reaches at cost 0, [states]."""
         model = self.model
         staying = (self.layers.leads(0) <= 0)[self.classes if self.classes.size else [0]]
         begins = model.outcome_offsets[model.pair_offsets]
@@ -153,7 +153,7 @@ class LayerMoves:
 
     @with_twin
     def meet(self, begin: int, end: int, hopeful: BoolArray) -> None:
-        """Mark, in place, the states of some layers from which a policy may reach marked states.
+        """Mark the states, in a range of layers, from which the policy may reach marked states.
 
         Args:
             begin: the first layer. Between ``begin`` and ``end``, each class of steps must pass a
@@ -331,7 +331,7 @@ class LayerMoves:
         return np.flatnonzero(reached_along(self.model.successors[outcome], offsets, begins))
 
     def staying(self, states: IntArray, pairs: IntArray, ring: IntArray) -> _Staying | None:
-        """Return the moves of cost 0 within a layer; None: there are none.
+        """Return the moves of cost 0 within a layer, or None if there are none.
 
         Args:
             states: states that these moves do not leave, increasing, [k].
@@ -362,7 +362,7 @@ class LayerMoves:
         """Return the moves of some classes: position of the pair, outcome and class, [moves] each.
 
         Args:
-            pairs: pairs that are taken, negative: none, [k].
+            pairs: the pair taken in each of k states, negative if none, [k].
             wanted: mask of the classes, [classes].
         """
         where = np.flatnonzero(pairs >= 0)
@@ -409,8 +409,8 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
     """Return masks of the states from which a cost-aware policy may reach the goal.
 
     Returns:
-        Masks for the layers and for the later layers that a step can reach, [layers and layers
-        ahead, states], and for the tails, [tails, states].
+        A mask for the layers below the cap and the ``moves.room`` layers after them, which a step
+        can reach, [layers + room, states]; and a mask for the tails, [tails, states].
 
     Raises:
         Stop: the time limit was reached.
@@ -420,7 +420,7 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
     for number, tail in enumerate(layers.tails):
         followed = np.zeros(model.n_pairs, dtype=np.bool_)
         followed[tail[tail >= 0]] = True
-        nearer = nearer_pairs(model, goal_pairs(model), followed)
+        nearer = nearer_pairs(model, None, followed, ends=model.goal_mask)
         beyond[number] = model.goal_mask | (nearer >= 0)
     hopeful = np.empty((count + moves.room, model.n_states), dtype=np.bool_)
     hopeful[:count] = model.goal_mask
@@ -501,8 +501,8 @@ def chains_of_law(
 ) -> tuple[Chain, Chain]:
     """Return a chain with the law of a policy's total cost, and one with costs rounded up.
 
-    Costs are rounded up as the policy's layers do. Both chains are one object if the policy does
-    not round costs up, or if the chain with true costs would be too large.
+    The second chain rounds costs up as the layers of the policy do. Both chains are one object if
+    the policy does not round costs up, or if the chain with true costs would be too large.
 
     Args:
         model: the model.

@@ -82,7 +82,7 @@ class AccumulatedCost:
 
     @cached_property
     def by_steps(self) -> bool:
-        """Whether a class of steps is a distinct cost, rather than a multiple of a unit."""
+        """Whether steps are classified by distinct costs, rather than by multiples of a unit."""
         return self.last_steps is not None
 
     @cached_property
@@ -106,14 +106,14 @@ class AccumulatedCost:
 
     @cached_property
     def instant_dynamics(self) -> Dynamics:
-        """Dynamics of the free steps within a layer; steps to later layers are exits."""
+        """Dynamics of the steps of cost 0 within a layer; steps to later layers are exits."""
         onward = np.asarray(written_out(self.later).sum(axis=1)).ravel()
         exits = onward + self.survival * self.gain + self.failure
         return Dynamics(self.pair_offsets, self.instant, exits, is_reused=True)
 
     @cached_property
     def steps_within(self) -> FloatArray | None:
-        """Upper bound of every policy's expected steps within a layer, [nodes]; None: it is large.
+        """Upper bound of every policy's expected steps within a layer, [nodes]; None if too large.
 
         Backups raise a lower bound. Once a backup adds at most 1/2 to every state, twice the lower
         bound is an upper bound.
@@ -129,7 +129,7 @@ class AccumulatedCost:
 
     @property
     def steps(self) -> sp.csr_array:
-        """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
+        """Transitions of steps, [pairs, width * nodes]; column = class of step * nodes + node."""
         later, n = written_out(self.later), self.n_nodes
         if len(self.instant.indices):
             return sp.csr_array(sp.hstack([self.instant, later]))
@@ -138,9 +138,9 @@ class AccumulatedCost:
 
     @cached_property
     def steps_by_class(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        """All steps in CSR form: offsets, and class (0: free), target and probability of entries.
+        """All steps in CSR form: offsets, [pairs + 1], and three arrays, [entries] each.
 
-        [pairs + 1], and [entries] each.
+        These are the class of the step (0: within the layer), its target node and probability.
         """
         steps, n = self.steps, max(self.n_nodes, 1)
         classes, nodes = np.divmod(unsigned(steps.indices), np.uint32(n))
@@ -242,7 +242,7 @@ def accumulate_cost(
 
 
 def _departing(base: AccumulatedCost) -> AccumulatedCost:
-    """Remove self-loops of cost 0 by conditioning each pair on departing; no total changes."""
+    """Remove self-loops of cost 0: condition each pair on departing, which keeps all totals."""
     later = written_out(base.later)
     leak = base.gain + base.failure + np.asarray(later.sum(axis=1)).ravel()
     instant = base.instant.copy()
@@ -374,13 +374,13 @@ class LayeredTails:
 
     @cached_property
     def first(self) -> TailValues:
-        """Values of the first tail, [nodes] each."""
+        """Values of the first tail policy, [nodes] each."""
         return self.values.row(0)
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredProcess(ChargedLayers):
-    """The process with layers below ``cap``; beyond it a policy follows a tail for ever."""
+    """The process with layers below ``cap``; beyond it a stationary tail policy is followed."""
 
     base: AccumulatedCost
     totals: Totals
@@ -394,7 +394,7 @@ class LayeredProcess(ChargedLayers):
 
     @cached_property
     def beyond_units(self) -> FloatArray:
-        """Accumulated costs at which tails take over, in units, [layers, 1]."""
+        """Accumulated costs at which tail policies take over, in units, [layers, 1]."""
         if not self.base.by_steps:
             return self.cap + np.arange(self.base.width - 1.0)[:, None]
         return self.totals.beyond[:, None]
@@ -403,8 +403,8 @@ class LayeredProcess(ChargedLayers):
         """Return the accumulated cost from which the last tail is no worse than the first, [nodes].
 
         The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
-        cost_k) + offset * goal_k. The result is in units; -infinity stands for any cost up to the
-        cap, so that tails chosen in the same way have equal thresholds.
+        cost_k) + offset * goal_k. The result is in units. Costs up to the cap are returned as
+        -infinity, so that equal choices of tails have equal thresholds.
 
         Args:
             price: price of failure.
@@ -420,7 +420,7 @@ class LayeredProcess(ChargedLayers):
         return np.where(total <= self.end, -np.inf, total)
 
     def measures_beyond(self, price: float) -> FloatArray:
-        """Return charge, failure and goal of the tail chosen at a price, [layers, nodes, 3]."""
+        """Return charge, failure and goal of the tail best at a price, [layers, nodes, 3]."""
         last = self.beyond_units >= self.threshold(price)[None, :]
         chosen, paid = self.tails.values.chosen(last), self.beyond_units * self.base.unit
         charged = self.charge.beyond(paid, chosen)

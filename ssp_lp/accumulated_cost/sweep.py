@@ -156,12 +156,12 @@ class Sweep:
         return self.process.base.pair_offsets[:-1]
 
     def charged(self, layer: int) -> PairCost:
-        """Return the charges of the pairs of a layer, ``on_top`` included, [pairs]."""
+        """Return the charges of the pairs of a layer, with the field ``on_top`` added, [pairs]."""
         charge = self.process.charged(layer)
         return charge if self.on_top is None else replace(charge, fixed=charge.fixed + self.on_top)
 
     def room_for_choice(self, layers: int | None = None) -> IntArray:
-        """Return an empty array for a choice over layers, in the smallest integer type."""
+        """Allocate an array for the choice in each layer, in the smallest integer type."""
         most = int(np.diff(self.process.base.pair_offsets).max(initial=1))
         size = self.process.cap if layers is None else layers, len(self.first_pairs)
         return np.empty(size, dtype=least_integer_type(most))
@@ -265,7 +265,7 @@ class Sweep:
         inner, floor = self._first_choice, priced.floor
 
         def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
-            """Return the lower bounds of a layer; with free steps, start from the last choice."""
+            """Return the lower bounds of a layer; with steps of cost 0, by policy iteration."""
             nonlocal inner
             most, is_free = given[layer], bool(np.isposinf(given[layer]).all())
             if not is_free:
@@ -346,7 +346,6 @@ class Sweep:
 
     @property
     def _begun_mass(self) -> _LayerMass:
-        """The start mass, in the first layer, from which a forward sweep begins."""
         return _LayerMass(self.process.base, self.counted, self.process.totals)
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
@@ -436,7 +435,7 @@ class Sweep:
 
         Args:
             priced: costs to minimise.
-            sizes: whether the sizes are needed; if not, they may be wrong.
+            sizes: whether the sizes are needed; if not, the function may return wrong ones.
         """
         process, (owed, saved), weight = self.process, priced[:2], priced.charged
         alone = np.maximum(owed, saved)
@@ -448,7 +447,7 @@ class Sweep:
             return lambda layer: (replace(cost, factor=float(totals[layer])), *sizes_of)
 
         def summed(layer: int) -> tuple[PairCost, FloatArray, FloatArray]:
-            """Return the pair costs and sizes of a layer that has its own charges."""
+            """Return pair costs, and sizes for rounding, of a layer that has its own charges."""
             fixed = weight * self.charged(layer).fixed
             size, most = (np.abs(fixed) + owed + saved, np.abs(fixed)) if sizes else (owed, owed)
             return PairCost(fixed + owed - saved), size, np.maximum(alone, most)
@@ -512,12 +511,12 @@ class Sweep:
 
     @cached_property
     def is_acyclic(self) -> bool:
-        """Whether there are no free steps, so that no equations are solved within a layer."""
+        """Whether no step costs 0, so that no equations are solved within a layer."""
         return self.process.base.instant.nnz == 0
 
     @property
     def can_follow(self) -> bool:
-        """Whether a forward sweep is possible: no free steps, and compiled loops."""
+        """Whether a forward sweep is possible: no step costs 0, and loops are compiled."""
         if self.by_blocks:
             return accelerated(self.process.cap * self.process.base.n_nodes, "layers.follow_layers")
         entries = self.process.cap * self.process.base.later.nnz
@@ -525,7 +524,7 @@ class Sweep:
 
     @cached_property
     def block(self) -> int:
-        """Least number of layers that a step passes; 1: not known."""
+        """Least number of layers that a step passes, or 1 if it is not known."""
         classes = self.process.base.steps_by_class[1]
         is_even = classes.size > 0 and self.process.totals.ahead is None
         return int(classes.min()) if is_even else 1
@@ -538,7 +537,7 @@ class Sweep:
 
     @property
     def one_pass(self) -> _OnePass | None:
-        """Input of a backward sweep in one pass; None: the sweep goes layer by layer."""
+        """Input of a backward sweep in one pass; None if the sweep must go layer by layer."""
         process, base = self.process, self.process.base
         cells = base.n_nodes * process.totals.span * (1 + self.counted.shape[1]) // 3
         by_blocks = self.block >= _LEAST_BLOCK
@@ -557,7 +556,8 @@ class Sweep:
     def _whole_pass(self) -> tuple[_Layers, FloatArray] | None:
         """Input of a backward sweep in one pass, whether or not one pass is faster.
 
-        None: there are too many charges, or policies may take too many free steps in a row.
+        It is None if there are too many charges, or if policies may take too many free steps in a
+        row.
         """
         process, base, cap = self.process, self.process.base, self.process.cap
         arriving = process.arriving
@@ -616,7 +616,7 @@ def _sweep_plainly(
     layers: _Layers, weight: float, owed: FloatArray, saved: FloatArray, values: FloatArray,
     measured: FloatArray, position: IntArray, keeps: bool, _: FloatArray, given: FloatArray,
 ) -> None:  # fmt: skip
-    """Sweep as ``layers.sweep_layers`` does, in numpy, over layers without free steps."""
+    """Do the work of ``layers.sweep_layers`` in numpy, for layers without steps of cost 0."""
     n, offsets, nodes = layers.offsets.size - 1, layers.offsets.astype(np.int64), layers.nodes
     width, number = (int(layers.leads.max(initial=0)) + 1) * n, np.arange(offsets[-1])
     begins, lengths, is_even = offsets[:-1], np.diff(offsets), len(layers.leads) == 1
@@ -681,7 +681,7 @@ def at_weights(
 
 
 def at_price(sweep: Sweep, price: float, failing: float, *, bounds: bool = False) -> Priced:
-    """Return the costs to minimise at a price of failure, for a sweep that counts both ends.
+    """Return the costs to minimise at a price of failure; the sweep must count failure and goal.
 
     The cost of a run is its charge plus ``failing`` if it fails, or plus ``failing - price`` if it
     reaches the goal. With ``failing`` equal to the price this is ``charge + price * failure``. With

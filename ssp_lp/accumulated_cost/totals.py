@@ -125,7 +125,7 @@ def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]
 
 @dataclass(frozen=True, eq=False)
 class StepClasses:
-    """Classes of steps: the number of units in a step's cost, or the index of this cost."""
+    """Classes of steps: a step's cost in units, or its index among the distinct costs."""
 
     unit: Fraction
     ahead: IntArray  # [outcomes] class of each counted outcome; 0 for others
@@ -240,7 +240,7 @@ def room_of(steps: FloatArray, cap: float) -> float:
 
 
 def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """Return the sums of step costs below a cap, increasing; None: more than ``most``."""
+    """Return the sums of step costs below a cap, increasing; None if more than ``most``."""
     moves, sums, room = steps[1:], np.zeros(1), room_of(steps, cap)
     if moves.size and cap > (most + 1) * float(moves[0]):
         return None  # the multiples of the cheapest step are too many
@@ -260,7 +260,7 @@ def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
 
 
 def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
-    """Return the totals below a cap that can occur in a model, increasing; None: too many.
+    """Return the totals below a cap that can occur in a model, increasing; None if too many.
 
     All sums of step costs are returned if they are few, otherwise the sums along walks through the
     model.
@@ -271,7 +271,7 @@ def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
 
 
 def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """Return the sums along walks from any state, found breadth first; None: too many.
+    """Return the sums along walks from any state, found breadth first; None if too many.
 
     Totals are numbered as they are found. The successor of a total by a kind of step is computed
     once for all states.
@@ -341,12 +341,12 @@ _ULPS = 1e-15  # relative rounding error of one sum
 class Totals:
     """The totals of the layers in increasing order; the last one is the cap.
 
-    Two tables say where a step from a total below the cap leads:
+    There are two tables of the layer that a step from a total below the cap reaches:
 
-    - ``reached``: to its exact total. Totals beyond the cap are layers as well (``beyond``), at
-      which tails take over.
-    - ``leads``: to at most the last layer, which stands for all totals from the cap on. On a grid
-      the step is rounded down, and has a share for the next total.
+    - ``reached`` has the exact total. Totals beyond the cap are layers, too (``beyond``), at which
+      tails take over.
+    - ``leads`` has no layers beyond the cap: the last layer stands for all totals from the cap on.
+      On a grid the total is rounded down, and a share of the mass goes to the next layer.
     """
 
     values: FloatArray  # [totals] the first is 0
@@ -367,7 +367,7 @@ class Totals:
 
     @cached_property
     def exact(self) -> bool:
-        """Whether every sum of steps up to the cap is a total."""
+        """Whether every sum of step costs up to the cap is the total of a layer."""
         if self.complete:
             return True
         below, share = self.leads
@@ -394,7 +394,7 @@ class Totals:
         return below, np.where(share * gap <= self._room, 0.0, share)  # rounded down: a lower bound
 
     def leads_by(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
-        """Return ``leads`` for some classes of steps, [totals, classes] each."""
+        """Return the columns of :attr:`leads` for some classes of steps, [totals, classes] each."""
         if self.unit is None:
             below, share = self.leads
             return below[:, kinds], share[:, kinds]
@@ -410,8 +410,8 @@ class Totals:
     def beyond(self) -> FloatArray:
         """The totals from the cap on that steps from below the cap reach, increasing, [beyond].
 
-        If ``complete``, all sums above the last total below the cap are included, even if they are
-        below the cap: no run reaches them, but every layer has all pairs.
+        If ``complete``, sums between the last layer and the cap are included. No run reaches them,
+        but the tables have an entry for every step from every layer.
         """
         if self.unit is not None:
             return totals_of(self.size + np.arange(len(self.steps) - 1), self.unit)
@@ -422,7 +422,7 @@ class Totals:
 
     @property
     def with_beyond(self) -> FloatArray:
-        """The totals below the cap, followed by ``beyond``."""
+        """The totals below the cap, followed by those of :attr:`beyond`."""
         return np.append(self.values[:-1], self.beyond)
 
     @property
@@ -434,7 +434,7 @@ class Totals:
         return self.reached_by(np.arange(len(self.steps)))
 
     def reached_by(self, kinds: IntArray) -> IntArray:
-        """Return ``reached`` for some classes of steps, [totals below the cap, classes]."""
+        """Return the columns of :attr:`reached` for some classes of steps, [totals, classes]."""
         if self.unit is not None:
             return np.arange(self.size)[:, None] + kinds
         sums = self.values[:-1, None] + self.steps[kinds]
@@ -510,13 +510,17 @@ class Resolution:
         return Totals(read_only(np.linspace(0.0, cap, size + 1)), steps)
 
     def up_to(self, total: float) -> Resolution:
-        """Return the resolution; without a cap, cap it above a total where failing is optimal."""
+        """Return the resolution; if it has no cap, its cap becomes a little more than ``total``.
+
+        Args:
+            total: accumulated cost from which failing is optimal; 0: unknown.
+        """
         return replace(self, cap=CAP_MARGIN * total) if self.cap is None and total > 0.0 else self
 
     def finer(self, totals: Totals, enough: float | None, most: int) -> Resolution | None:
         """Return a resolution with a higher cap or a finer grid.
 
-        None: no more totals fit into memory, or more totals would not help.
+        The result is None if no more totals fit into memory, or if more totals would not help.
 
         Args:
             totals: the present totals.
@@ -540,7 +544,7 @@ class Resolution:
 def resolution_for(
     model: SSP, most: int | None, cap: float | None, *, of_law: bool
 ) -> Resolution | None:
-    """Return the resolution that a problem needs; None: multiples of a unit are enough.
+    """Return the resolution that a problem needs, or None if multiples of a unit are enough.
 
     Multiples are not enough if the costs have no common unit, or a unit so small that far fewer
     sums than multiples can occur.
@@ -559,7 +563,7 @@ def resolution_for(
 
 @kept
 def resolution_of_costs(model: SSP) -> Resolution | None:
-    """Return the resolution of a model's totals; None: multiples of its unit are enough."""
+    """Return the resolution of a model's totals, or None if multiples of its unit are enough."""
     return _resolution(model, step_costs(model)[1])
 
 
@@ -570,7 +574,7 @@ def resolution_of_law(model: SSP) -> Resolution | None:
 
 
 def _resolution(model: SSP, steps: FloatArray) -> Resolution | None:
-    """Return the resolution for given step costs; None: multiples of their unit are enough."""
+    """Return the resolution for given step costs, or None if multiples of a unit are enough."""
     if uniform_cost(model) is not None:
         return None
     ahead, per_step = _STEPS_AHEAD * float(steps[-1]), 0

@@ -33,10 +33,11 @@ from ssp_lp.processes.live_rows import cost_means
 
 
 def materialise(process: LayeredProcess) -> ExplicitProcess:
-    """Write out all layers of a layered process: state = layer * nodes + node.
+    """Write out all layers of a layered process as an explicit process.
 
-    The layers that a step can reach beyond the cap follow. There each node has one pair for each
-    tail, which ends the run with the tail's totals. The last state is the source, where runs start.
+    State ``layer * nodes + node`` is a node of a layer. The layers below the cap are followed by
+    those that a step can reach beyond it. There each node has one pair for each tail, which ends
+    the run with the tail's totals. The last state is the source, where runs start.
 
     Args:
         process: the layered process.
@@ -216,7 +217,7 @@ class OpenEnded(ChargedLayers):
         return np.append(np.tile(per_pair, self.cap + 1), at_source)
 
     def counting(self, semantics: FailureSemantics) -> Counting:
-        """Return an object that counts quantities other than the total at a layer's pairs."""
+        """Return the coefficients of quantities other than the total, for the pairs of a layer."""
         base = self.base
         goal = base.survival * base.gain
         return Counting(
@@ -224,7 +225,7 @@ class OpenEnded(ChargedLayers):
         )
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """Return a choice as a cost-aware policy; the choice in the last layer is its tail.
+        """Return a choice as a cost-aware policy; the choice in the last layer becomes the tail.
 
         Args:
             choice: pair of each state of the process, [process states].
@@ -239,7 +240,7 @@ class OpenEnded(ChargedLayers):
         return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """Return None: pairs that lead nearer to the goal are found on the explicit process."""
+        """Return None: the caller finds pairs that lead nearer to the goal on the process."""
         return
 
     @cached_property
@@ -288,7 +289,7 @@ class OpenEnded(ChargedLayers):
 
     @cached_property
     def shift_of_ends(self) -> tuple[FloatArray, float]:
-        """``shift`` times the probability that an episode ends: by pair, [pairs], and at once."""
+        """Expected charge ``shift`` for ending: by each pair, [pairs], and at the start."""
         base = self.base
         ends = base.survival * base.gain + base.failure
         return self.shift * ends, self.shift * (base.start_goal + base.start_failure)
@@ -312,11 +313,15 @@ class OpenEnded(ChargedLayers):
         return LastLayer(process, self)
 
     def leads(self, kinds: IntArray) -> tuple[IntArray, FloatArray]:
-        """Return the layer that steps lead to, and the share of the next one, [layers, kinds].
+        """Return the layer to which each class of steps leads, and the share of the next layer.
 
         On a grid a step is rounded down, which never raises a charge. If the charge is concave, the
-        step is split between both neighbours of its total instead: interpolation does not raise the
-        charge either.
+        step is split instead between the two layers around its total, since interpolation does not
+        raise such a charge either.
+
+        Returns:
+            The layer, and the probability that the step leads to the layer after it, [layers,
+            kinds] each.
         """
         below, share = self.totals.leads_by(kinds)
         return below, share if self.charge.is_concave else np.zeros_like(share)
@@ -343,12 +348,12 @@ class LastLayer:
         return self.layered.policy(np.tile(choice, self.layered.cap + 1))
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """Return None: pairs that lead nearer to the goal are found on the process itself."""
+        """Return None: the caller finds pairs that lead nearer to the goal on the process."""
         return
 
 
 def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
-    """Raise :class:`ModelError` if written out layers have more than ``most`` pairs."""
+    """Raise :class:`ModelError` if all layers together have more than ``most`` pairs."""
     n_pairs = (layers + 1) * len(base.gain)
     if n_pairs > most:
         raise ModelError(
@@ -358,7 +363,7 @@ def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
 
 
 def first_cap(base: AccumulatedCost, charge: Charge, typical: float, fixed: float | None) -> int:
-    """Return a first cap in layers: where the charge is affine, or later if it then still grows.
+    """Return a first cap, in layers: where the charge becomes affine, plus a margin if it grows.
 
     Args:
         base: one layer of the process.
@@ -392,7 +397,7 @@ def truncates(charge: Charge, total: float) -> bool:
 
 
 def _settled_open_end(charge: Charge) -> float | None:
-    """Return the total beyond which the charge is affine; None: it is never exactly affine."""
+    """Return the total beyond which the charge is affine; None if it never is exactly."""
     settled = charge.settled
     if settled is None or not charge.is_affine_beyond(settled * (1.0 + BEYOND)):
         return None

@@ -48,7 +48,7 @@ from ssp_lp.processes.live_rows import cost_means, costless_pairs
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Facts):
-    """Exact measures of a policy from the start. Costs are in the model's unit."""
+    """Exact measures of a policy, for runs from the problem's start; costs in the model's unit."""
 
     goal_probability: float
     failure_probability: float  # 1 - goal_probability: wandering for ever is failure
@@ -64,12 +64,12 @@ class Evaluation(Facts):
 
     @property
     def limited_goal(self) -> float:
-        """Goal probability, discounted if ``limited_failure`` is."""
+        """Goal probability; with a discount, the discounted one, E[gamma^T; goal]."""
         return self.goal_probability if self.discounted_goal is None else self.discounted_goal
 
     @property
     def limited_failure(self) -> float:
-        """Failure that a budget limits: the discounted one if the problem has a discount."""
+        """Failure probability that a budget limits; with a discount, the discounted one."""
         surrogate = self.discounted_failure
         return self.failure_probability if surrogate is None else surrogate
 
@@ -108,25 +108,26 @@ def evaluate(
     box: Boxes | None = None,
     time_limit: float | None = None,
 ) -> Evaluation | WorstCase:
-    """Evaluate a policy exactly, with the stopping time taken from its own chain.
+    """Evaluate a policy exactly.
 
-    The paper's tau (section 2.4) is the first time at which the goal is unreachable under the
-    policy; the problem's ``give_up`` and ``charge_failing_step`` say what happens then. The policy
-    may be a solution's, your own :class:`DeterministicPolicy`, or a lottery. The conditional cost
-    of a lottery is the ratio of the weighted sums, not the mean of the members' conditional costs.
+    A run fails at the first time at which the policy can no longer reach the goal (tau in the
+    paper, section 2.4). The problem's ``give_up`` and ``charge_failing_step`` say what the run pays
+    then. The policy may be a solution's, your own :class:`DeterministicPolicy`, or a lottery. The
+    conditional cost of a lottery is its expected cost of successful runs divided by its goal
+    probability, not the mean of the members' conditional costs.
 
     Args:
         policy: the policy, on the problem's model.
         problem: problem with the start, the discount and the semantics.
-        box: intervals of the probabilities; then the result is a ``WorstCase`` with the worst case
-            of each measure over all of them. It is exact for a policy without memory, and a bound
-            for a lottery.
+        box: intervals of the probabilities. If given, the result is a ``WorstCase``: each measure
+            at the probabilities in the intervals that are worst for it. It is exact for a policy
+            without memory, and a bound for a lottery.
         time_limit: seconds; None: unlimited.
 
     Returns:
-        Exact numbers, up to the rounding of linear solves. One exception: if a criterion needs the
-        law of costs, and there are too many different sums or the policy ``rounds_up``, the
-        objective is computed with costs rounded up. The true objective is as good or better.
+        Exact numbers, up to the rounding of linear solves. One exception: if the objective needs
+        the distribution of the total cost, and there are too many distinct totals or the policy
+        ``rounds_up``, costs are rounded up. The true objective is then at least as good.
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches, or gives up where the
@@ -145,8 +146,8 @@ def evaluate_each(
 ) -> tuple[Evaluation, list[Evaluation]]:
     """Return the evaluation of a lottery, and the evaluation of each of its members.
 
-    If the objective is a measure of the law of costs (a quantile, say), only the lottery's
-    evaluation has it; the members' objectives are then their costs.
+    If the objective is a measure of the distribution of costs, such as a quantile, only the
+    lottery's evaluation has this objective. The objectives of the members are then their costs.
 
     Raises:
         ModelError: as in :func:`evaluate`.
@@ -172,8 +173,27 @@ def evaluate_each(
 
 
 @explained
+def success_figures(policy: Policy, problem: Problem) -> tuple[float, float, float]:
+    """Return E[cost; goal], the failure and the goal probability of a policy, nothing else.
+
+    All three are discounted if the problem has a discount.
+
+    Args:
+        policy: a policy on the problem's model.
+        problem: the problem, in which failing ends a run.
+    """
+    start, survival = problem.start_mass, _survivals(problem)[-1]
+    if (measures := layered_measures(policy, problem, start)) is not None:
+        goal, failure, cost = measures.totals[-1, :3].tolist()
+        return cost, failure, goal
+    chain = policy_chain(problem.model, policy, start)
+    _check_giving_up(chain, problem)
+    goal, failure, cost = (float(chain.start @ x) for x in _successes(chain, survival))
+    return cost, min(failure, 1.0), 1.0 if failure == 0.0 else min(goal, 1.0)
+
+
 def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
-    """Return the law of a policy's total cost on the runs that reach the goal.
+    """Return the law (distribution) of a policy's total cost on the runs that reach the goal.
 
     Costs and probabilities are undiscounted, whatever the problem's discount. The law of a lottery
     is the mixture of its members' laws, so its quantile is the quantile of the mixture, not a mean
@@ -200,10 +220,11 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
 
 
 def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
-    """Return the law of costs from which a problem's measure is computed.
+    """Return the law (distribution) of costs from which a problem's measure is computed.
 
-    Costs are rounded up where the lottery's members round them up. Exception: if the measure is
-    itself a total cost, the law is that of the true costs, if it can be computed quickly.
+    If a member of the lottery acts on costs rounded up, the law has these rounded costs. Exception:
+    for a measure that is itself a total cost, such as a quantile, the law has the true costs if it
+    can be computed quickly.
     """
     return _measured_law(*_law_chains(policy, problem, soon=True), problem.semantics)
 
@@ -211,10 +232,10 @@ def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
 def _law_chains(
     lottery: MixedPolicy, problem: Problem, *, soon: bool = False
 ) -> tuple[list[tuple[Chain, Chain]], FloatArray]:
-    """Return two chains with the cost law of each member, and the weights of the members.
+    """Return two chains for each member of a lottery, and the weights of the members.
 
-    The first chain has true costs, the second has costs as the member rounds them. Members of
-    weight 0 are left out.
+    Total costs of the first chain are the true ones, those of the second are rounded as the member
+    rounds them. Members of weight 0 are left out.
     """
     model, start = problem.model, problem.start_mass
     used = lottery.weights > 0.0
@@ -225,14 +246,14 @@ def _law_chains(
 def _measured_law(
     chains: Iterable[tuple[Chain, Chain]], weights: FloatArray, semantics: FailureSemantics
 ) -> CostLaw:
-    """Return the cost law of :func:`measured_costs` from the members' chains."""
+    """Return the law of :func:`measured_costs`, given chains of the members."""
     if semantics.risk is not None and semantics.risk.is_a_total:
         return law_of_chains(chains, weights)
     return law_of_chains(((counted, counted) for _, counted in chains), weights)
 
 
 def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) -> CostLaw:
-    """Return the cost law of a lottery from its members' chains.
+    """Return the distribution of a lottery's total cost, given chains of its members.
 
     Args:
         chains: for each member a chain with true costs and one with costs as the member rounds
@@ -245,7 +266,7 @@ def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) ->
 
 
 class _Measures(NamedTuple):
-    """Measures of a policy; those of a lottery are the means over its members."""
+    """Measures of a policy; a lottery has the weighted means of its members' measures."""
 
     totals: FloatArray  # [discounts, 4] goal, failure, cost of success, cost until failure
     ends: FloatArray  # [ways] in the order of ``end_marks``, then wandering
@@ -254,7 +275,7 @@ class _Measures(NamedTuple):
 
 
 def _mean_of(parts: list[_Measures], weights: FloatArray) -> _Measures:
-    """Return the mean of measures over a lottery; members of weight 0 do not count."""
+    """Return the mean of members' measures over a lottery, without members of weight 0."""
     used = np.flatnonzero(weights > 0.0)
     columns = zip(*(parts[k] for k in used), strict=True)
     return _Measures(*(np.tensordot(weights[used], np.stack(c), axes=1) for c in columns))
@@ -293,12 +314,12 @@ def evaluation_of(sums: _Measures, problem: Problem) -> Evaluation:
 
 
 def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False) -> _Measures:
-    """Return the measures of a policy from its chain.
+    """Compute the measures of a policy from its chain.
 
     Args:
         chain: chain of the policy.
         problem: problem with the semantics and the limits.
-        declared: whether the policy declares failing itself (see ``counted_nodes``).
+        declared: whether the policy itself decides when it has failed (see ``counted_nodes``).
     """
     mass = np.zeros((chain.n_nodes, 3 * len(_survivals(problem))))
     mass[:, ::3] = chain.start[:, None]
@@ -315,7 +336,7 @@ def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False
 
 
 def _measures_of(totals: FloatArray, ends: FloatArray) -> _Measures:
-    """Return measures from their totals and the probabilities of ends.
+    """Clip totals to possible values, and return them as measures with the probabilities of ends.
 
     Args:
         totals: goal, failure, cost of success and cost until failure, [discounts, 4].
@@ -344,28 +365,34 @@ def _chain_totals(
 
     Args:
         chain: the chain.
-        counted: nodes at which failure has not been declared, [nodes].
+        counted: nodes at which a run has not failed, [nodes].
         problem: problem with the semantics.
-        mass: for each discount the mass that enters, this mass times the cost paid before, and
-            mass that enters after failing, [nodes, 3 * discounts].
+        mass: for each discount three columns: the mass that enters, this mass times the cost paid
+            before, and the mass that enters after failing, [nodes, 3 * discounts].
 
     Raises:
         ModelError: the policy gives up where the problem forbids it.
     """
     semantics, totals = problem.semantics, []
     _check_giving_up(chain, problem)
-    alive = chain.alive
-    ended = np.where(alive | (chain.goal > 0), 0.0, 1.0)
     for k, survival in enumerate(_survivals(problem)):
         entering, paid, lost = mass[:, 3 * k : 3 * k + 3].T
-        reached, cost = chain.arriving(survival)
-        leaks = (1.0 - survival) + survival * (chain.ahead(ended) + chain.give_up)
-        failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
+        reached, failed, cost = _successes(chain, survival)
         begins = entering + lost if semantics.give_up is GiveUp.DEAD_ENDS else entering
         stopped = _value_until_failure(chain, counted, semantics, survival, start=begins)
         success = entering @ cost + paid @ reached / survival
         totals.append([entering @ reached, entering @ failed, success, stopped])
     return np.array(totals)
+
+
+def _successes(chain: Chain, survival: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return goal probability, failure and E[cost; goal] from each node, [nodes] each."""
+    alive = chain.alive
+    ended = np.where(alive | (chain.goal > 0), 0.0, 1.0)
+    reached, cost = chain.arriving(survival)
+    leaks = (1.0 - survival) + survival * (chain.ahead(ended) + chain.give_up)
+    failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
+    return reached, failed, cost
 
 
 def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:
@@ -387,7 +414,7 @@ _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"
 
 
 def cost_in_words(cost: float) -> str:
-    """Return a cost as text; nan is the cost given success if the goal is never reached."""
+    """Return a cost as text; nan stands for the cost given success of a policy without success."""
     return "none: the goal is never reached" if cost != cost else f"{cost:.6g}"
 
 
@@ -399,7 +426,7 @@ def failing_in_words(ends: Mapping[str, float]) -> str:
 
 
 def giving_up_in_words(policy: MixedPolicy, problem: Problem, share: float) -> str:
-    """Return a phrase that says where a policy gives up: before the first step, or a state.
+    """Return where a policy gives up, as a phrase: before the first step, or in which state first.
 
     Args:
         policy: policy on the problem's model.
@@ -426,11 +453,11 @@ def giving_up_in_words(policy: MixedPolicy, problem: Problem, share: float) -> s
 
 
 def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """Return the policy's expected visits of each pair, and probability of giving up per state.
+    """Return a policy's expected visits of each pair, and its probability of giving up by state.
 
     Returns:
-        Both on the problem's model, [pairs] and [states], summed over the policy's memory and,
-        within a horizon, over time.
+        Two arrays on the problem's model, [pairs] and [states], summed over the policy's memory
+        and, within a horizon, over time.
 
     Raises:
         ModelError: the policy is for another model, or may wander for ever.
@@ -459,8 +486,8 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     of all members: accumulated cost, time, or both. If time is remembered (section 3.4), the policy
     has the lottery's distribution over augmented states at each time, not only in total.
 
-    Under a discount, visits are discounted, which preserves the discounted cost and failure. A
-    stationary policy cannot preserve the undiscounted ones as well.
+    With a discount, the discounted visits, cost and failure are those of the lottery; the
+    undiscounted cost and failure may differ.
 
     Raises:
         ModelError: a member may wander for ever, or is of a class with unknown memory.
@@ -486,15 +513,15 @@ def layered_measures(
 ) -> _Measures | None:
     """Return the measures of a layered policy without its chain; None if the chain is needed.
 
-    The chain is used if it is small, if the policy remembers more than its cost, or if the problem
-    counts quantities other than the cost. It is also used if a decision is missing or not allowed:
-    its error names the decision.
+    A layered policy remembers the accumulated cost. The chain is needed if the policy remembers
+    more, or if the problem counts quantities other than the cost; it is preferred if it is small.
+    It is also needed if a decision is missing or not allowed, for an error that names the decision.
 
     Args:
         policy: policy on the problem's model.
         problem: problem with the semantics and the discount.
         start: distribution over states, [states].
-        least_nodes: states times layers above which the chain is not used.
+        least_nodes: states times layers up to which the chain is preferred.
     """
     model, layers = problem.model, policy.layers()
     if layers is None or problem.conditions or problem.objective_condition is not None:
@@ -535,7 +562,7 @@ def layered_measures(
 
 
 def _layer_costs(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the costs of a layered policy's pairs and states.
+    """Return the costs of pairs and states for the evaluation of a layered policy.
 
     Returns:
         The mean cost of a step, [pairs]; the charge of giving up, infinite if it is not allowed,
@@ -603,11 +630,11 @@ def _give_up_costs(
 def _check_giving_up(chain: Chain, problem: Problem) -> None:
     """Check that a policy gives up only where the problem allows it.
 
-    Giving up is also allowed where a policy may stay for ever by pairs that add nothing to the
-    objective and the limits.
+    Giving up is also allowed where the policy could instead stay for ever by pairs that add nothing
+    to the objective and the limits.
 
     Raises:
-        ModelError: the policy gives up elsewhere.
+        ModelError: the policy gives up where it is not allowed.
     """
     semantics, objective = problem.semantics, problem.objective_condition
     limited = (row for condition in problem.conditions for row in condition.rows)
@@ -628,11 +655,10 @@ def _lost_costs(
     survival: float,
     free: BoolArray | None = None,
 ) -> FloatArray:
-    """Return the expected cost from each node of a chain that cannot reach the goal, [nodes].
+    """Return the expected cost to come at each node from which the goal is out of reach, [nodes].
 
-    At such a node failure is declared at once, and charged according to the semantics. With
-    ``DEAD_ENDS``, stage costs are paid until a dead-end is entered instead. They are infinite if a
-    run may pay for ever.
+    It is the charge of failing. With ``DEAD_ENDS`` it is the stage costs until a dead-end is
+    entered, infinite if a run may pay for ever. At nodes that can reach the goal it is 0.
 
     Args:
         chain: chain of the policy.
@@ -666,7 +692,7 @@ def state_give_up_charges(
 ) -> FloatArray:
     """Return the charge of giving up in each state, infinite if forbidden, [states].
 
-    Staying for ever in an end component of cost 0 is free whatever the semantics.
+    It is 0 in end components of cost 0, where staying for ever is free.
 
     Args:
         model: the model.
@@ -686,18 +712,18 @@ def entering_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:
 
 
 def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> BoolArray:
-    """Return a mask of a chain's nodes at which failing has not been declared, [nodes].
+    """Return a mask of a chain's nodes at which a run has not failed, [nodes].
 
     - In general these are the nodes from which the goal can be reached.
     - If a constraint or the objective counts ends other than the goal, a run has not failed until
       it ends or gives up.
-    - If the model's states have a failure label, the policy may declare failing itself. Otherwise
-      failing is declared as soon as the policy can no longer reach the goal.
+    - If the model's states have a failure label, a policy may itself decide when it has failed. If
+      it does not, it has failed as soon as it can no longer reach the goal.
 
     Args:
         chain: chain of the policy.
         problem: problem with the constraints.
-        declared: whether the policy declares failing itself.
+        declared: whether the policy itself decides when it has failed.
     """
     if problem.model.failure_label is not None:
         quits = chain.give_up > 0
@@ -711,11 +737,11 @@ def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> 
 
 
 def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, IntArray], BoolArray]:
-    """Return a function that says whether a policy has failed in a state with a memory.
+    """Return a function that says whether a policy has failed in a state, with a memory.
 
     Returns:
-        A function from states and memories, [k] each, to a mask, [k]. It is False for a state and
-        memory that no run of the policy reaches.
+        A function of states and memories, [k] each, that returns a mask, [k]. A state and memory
+        that no run of the policy reaches gets False.
     """
     model = problem.model
     if model.failure_label is None and policy.layers() is not None and not _asks_for_ends(problem):
@@ -740,11 +766,11 @@ def _asked_quantities(problem: Problem) -> tuple[Condition, ...]:
 
 
 def _cost_after_failing(chain: Chain, counted: BoolArray) -> list[float]:
-    """Return a list of the expected cost from failing until the end; empty if failing ends runs.
+    """Return the expected cost from failing to the true end, [1]; [0] if failing ends runs.
 
     Args:
         chain: chain of the policy.
-        counted: nodes at which failure has not been declared, [nodes].
+        counted: nodes at which a run has not failed, [nodes].
     """
     if (label := chain.model.failure_label) is None:
         return []
@@ -759,7 +785,7 @@ def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Te
 
     Args:
         chain: chain of the policy.
-        counted: nodes at which failure has not been declared, [nodes].
+        counted: nodes at which a run has not failed, [nodes].
         problem: problem with the semantics and the discount.
         term: the term.
     """
@@ -783,13 +809,16 @@ def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Te
 def _ending_values(
     chain: Chain, at_end: FloatArray, survival: float = 1.0, at_stop: FloatArray | float = 0.0
 ) -> FloatArray:
-    """Return the discounted probability of each way to end, from each node, [nodes, ways].
+    """Return the discounted probability of each way to end, for a run from each node.
 
     Args:
         chain: the chain.
-        at_end: for each way the goals and dead-ends that count, [nodes, ways].
+        at_end: 1 where a goal or dead-end is an end of this way, else 0, [nodes, ways].
         survival: discount.
-        at_stop: for each way the nodes at which giving up counts, [nodes, ways].
+        at_stop: 1 where giving up is an end of this way, else 0, [nodes, ways].
+
+    Returns:
+        The probabilities, [nodes, ways].
     """
     settling = chain.settling & (chain.goal == 0) & (chain.dead == 0)
     hits = survival * chain.ahead(at_end) + chain.give_up[:, None] * at_stop
@@ -808,7 +837,7 @@ def _value_until_failure(
 
     Args:
         chain: chain with the costs that count.
-        hopeful: nodes at which failure has not been declared, [nodes].
+        hopeful: nodes at which a run has not failed, [nodes].
         semantics: cost of failing.
         survival: the discount.
         free: pairs that are free in these costs, [pairs]; None: pairs of cost 0.

@@ -33,10 +33,10 @@ class ActionValue(NamedTuple):
 class Explanation(Report):
     """The actions of a state, the best first.
 
-    Each action is taken once. Then a policy is followed that is optimal at the optimal prices. The
-    value of an action is a weighted sum of expected amounts: the cost, and for each row of the
-    program its price times its amount. In case S, c* times the goal probability is subtracted. An
-    action with excess 0 is optimal. A lottery mixes policies that take different optimal actions.
+    The value of an action is the expected cost plus, for each row of the program, price times
+    amount, if the action is taken once and a policy that is optimal at the optimal prices is
+    followed after that. In case S, c* times the goal probability is subtracted. An action with
+    excess 0 is optimal. A lottery mixes policies that take different optimal actions.
     """
 
     state: Hashable
@@ -127,9 +127,10 @@ def explanation(
 def _counted_quantities(
     program: OccupationProgram, prices: Mapping[str, float], ratio: float
 ) -> list[tuple[str, float, FloatArray]]:
-    """Return the quantities of the value: name, weight, and amount of each pair, [pairs].
+    """Return the quantities whose weighted sum is the value of an action.
 
-    The quantities are the objective, in case S the goal, failure, and each row of the program.
+    They are the objective, in case S the goal, failure, and each other row of the program. Each has
+    its name, weight, and amount of each pair, [pairs].
     """
     process = program.process
     counted = [(program.objective, 1.0, process.cost)]
@@ -143,7 +144,9 @@ def _counted_quantities(
 
 
 def _following(values: StateValues, rewards: FloatArray) -> FloatArray:
-    """Return the expected amount of each quantity if a pair is taken once, [quantities, pairs].
+    """Return the expected amount of each quantity after taking a pair once, [quantities, pairs].
+
+    A policy that is optimal at the optimal prices is followed after that.
 
     Args:
         values: state values at the optimal prices.

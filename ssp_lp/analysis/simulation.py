@@ -68,14 +68,13 @@ def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
 
 
 def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimate:
-    """Return the estimate of a mean cost with an interval valid for any law; nan without sample.
+    """Return the estimate of a mean cost, with an interval that is valid for any distribution.
 
-    If an episode pays for ever, the mean and both ends are infinite.
-
-    The interval is valid for rare expensive events that the sample may not contain, unlike normal
-    intervals and the bootstrap: the upper end is the empirical Bernstein bound, which includes
-    costs up to ``most``. The lower end needs no greatest cost: it is the integral of the sample's
-    survival function, less its greatest likely excess over the true survival function.
+    The interval covers rare expensive events that the sample does not contain, unlike normal
+    intervals and the bootstrap. The upper end is the empirical Bernstein bound for costs up to
+    ``most``. The lower end needs no greatest cost: it is the integral of the sample's survival
+    function, less the greatest amount by which this function is likely to exceed the true one. If
+    an episode pays for ever, the mean and both ends are infinite; without a sample they are nan.
 
     Args:
         sample: costs in [0, most], independent and identically distributed.
@@ -104,20 +103,21 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
 def greatest_total(
     model: SSP, steps: int, pairs: BoolArray | None = None, most_work: int = 300_000_000
 ) -> tuple[float, bool]:
-    """Return the greatest total cost of a simulated episode with at most ``steps`` steps.
+    """Return an upper bound of the total cost of an episode with at most ``steps`` steps.
 
-    Steps within a strong component may be repeated, all other steps occur once. The total is that
-    of the most expensive path through the components.
+    Steps within a strong component may be repeated, and count as the most expensive of them. All
+    other steps occur at most once; their total is that of the most expensive path through the
+    components.
 
     Args:
         model: the model.
         steps: greatest number of steps of an episode.
         pairs: pairs of the policy, [pairs]; None: all.
-        most_work: outcomes examined for the most expensive path, in a few seconds; beyond that,
-            each step counts as the most expensive one.
+        most_work: greatest number of outcomes to examine for this path, a few seconds' work. If it
+            does not suffice, each step counts as the most expensive step of the model.
 
     Returns:
-        The total, and whether more steps would increase it.
+        The bound, and whether more steps would increase it.
     """
     over = dead_ends(model) | model.goal_mask
     starts = model.outcome_offsets[model.pair_offsets]  # of each state's outcomes, [states + 1]
@@ -180,10 +180,10 @@ class Simulator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ModelSimulator:
-    """A model as a world.
+    """A simulator that draws from a model.
 
-    The world is a state of the model or, if the model is a product (with memory or time), a state
-    of the original model.
+    A world is a state of the model. If the model is a product (with memory or time), a world is a
+    state of the original model.
     """
 
     model: SSP
@@ -204,7 +204,7 @@ class ModelSimulator:
 
     @cached_property
     def _stated(self) -> tuple[IntArray, FloatArray]:
-        """Original model's state of each state, [states], and cost of each outcome, [outcomes]."""
+        """State before the product, for each state, [states]; and cost, for each outcome."""
         model, stated = self.model, self.model if self.stated is None else self.stated
         state: IntArray = np.arange(model.n_states)
         outcome: IntArray = np.arange(model.n_outcomes)
@@ -221,13 +221,13 @@ class ModelSimulator:
 
 @dataclass(frozen=True, eq=False)
 class _ProductSimulator:
-    """A simulator of a product, which plays the original model and keeps the memory."""
+    """A simulator of a product: it simulates the original model, and updates the memory."""
 
     inner: Simulator
     product: ProductSSP
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
-        """Start episodes; the memory is the first one of the start state."""
+        """Start episodes, each with the initial memory of its start state."""
         world, state = self.inner.reset(episodes, rng)
         return world, self.product.table[state, self.product.first_memory(state)]
 
@@ -239,7 +239,10 @@ class _ProductSimulator:
 
 
 def _on_products(simulator: Simulator, model: SSP, stated: SSP) -> Simulator:
-    """Return a simulator of the solved model, a product, from one of the stated model."""
+    """Return a simulator of the solved model, given a simulator of the stated model.
+
+    The solved model is the stated model, or a product built from it.
+    """
     if model is stated or not isinstance(model, ProductSSP):
         return simulator
     return _ProductSimulator(_on_products(simulator, model.original, stated), model)
@@ -263,7 +266,7 @@ class SimulationReport(Facts, ReadOnlyCopies):
 
     @property
     def note(self) -> str:
-        """Note on costs cut off by ``max_steps``, or empty."""
+        """Note on unfinished episodes, or on costs that only ``max_steps`` bounds; else empty."""
         cut, steps = self.ends["unfinished"], f"{self.max_steps:,} steps"
         if cut:
             return f"costs are cut: {cut:,} episodes were unfinished after {steps}"
@@ -312,7 +315,7 @@ def simulate(
 
     An episode ends at a goal, in a dead-end, when the policy gives up, or unfinished after
     ``max_steps``. A mixed policy draws one member for each episode. Costs count as in
-    :func:`evaluate`, until the policy has lost the goal in the model.
+    :func:`evaluate`, until the policy can no longer reach the goal of the model.
 
     Intervals of probabilities are Clopper and Pearson's. Intervals of mean costs are valid for rare
     expensive events, too (``mean_estimate``). Their upper ends, by empirical Bernstein, depend on
@@ -328,8 +331,9 @@ def simulate(
         seed: source of all randomness: a number, with which every call plays the same episodes, or
             a generator.
         max_steps: steps after which an episode counts as unfinished.
-        simulator: another world than the model, such as a continuous one.
-        record: number of first episodes whose paths are kept.
+        simulator: the world in which episodes are played, such as a continuous one; None: the
+            model.
+        record: number of episodes, the first ones, whose paths are in the report.
         confidence: confidence of the intervals.
         verbose: show progress (``ssp_lp.progress_shown``).
 
@@ -455,7 +459,7 @@ def _report_of(
         played: results of the episodes.
         confidence: confidence of the intervals.
         max_steps: steps after which an episode counted as unfinished.
-        most: greatest total that an episode can pay in so many steps.
+        most: greatest total that an episode can pay in ``max_steps`` steps.
         is_cut: whether more steps would increase the greatest total.
     """
     names = ["goal", *problem.model.state_labels, "dead_end", "gave_up"]

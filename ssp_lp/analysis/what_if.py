@@ -19,8 +19,9 @@ divided by the goal probability.
 If the prices are unique but several lotteries are optimal, the derivative to the right is the least
 value of the formula over all optimal lotteries, and the derivative to the left is the greatest
 value (Danskin's theorem; the reverse for a maximum). Each is a linear program over the optimal
-actions. If several prices are optimal, the formula is evaluated at nearby numbers on both sides,
-and checked against differences of the optimum.
+actions. If several prices are optimal, the problem is solved again with slightly smaller and
+slightly greater numbers. The formula is evaluated there, and checked against differences of the
+optimum.
 """
 
 from __future__ import annotations
@@ -32,9 +33,10 @@ from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
+import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.written_out import OpenEnded
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, segment_sums
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, entries_of, segment_minima, segment_sums
 from ssp_lp.compiled.deadline import Stop, check_time, is_late, limited, seconds_left
 from ssp_lp.dynamic_programming.dynamics import leaving_choice
 from ssp_lp.errors import (
@@ -66,13 +68,12 @@ from ssp_lp.programs.occupation_measure import (
     shares_of_visits,
 )
 
-_STEP = 1e-5  # to the nearby numbers at which one-sided derivatives are evaluated
+_STEP, _FARTHEST = 1e-5, 1e3  # to the nearby numbers of one-sided derivatives; greatest step
 _AGREES = 1e-4  # relative difference of a one-sided derivative and of optima
 _ACCURACY = 1e-6  # relative: of breakpoints, and of worths of outcomes that make up a value
 _BEYOND = 1e-12  # probability of success beyond the last total that is distinguished
 _FIRST_CAP, _LAST_CAP = 16.0, 5000.0  # of distinguished totals, in greatest costs of a step
 _SHOWN = 15  # rows of the text
-_FARTHEST = 1e3  # greatest step of a number that may move without limit
 
 
 def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, float]:
@@ -80,9 +81,14 @@ def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, fl
     return {key: one.get(key, 0.0) + other.get(key, 0.0) for key in (*one, *other)}
 
 
+def _opens(numbers: FloatArray, slopes: Mapping[int, float]) -> bool:
+    """Return whether a number that is 0 rises."""
+    return any(slope > 0.0 == numbers[place] for place, slope in slopes.items())
+
+
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A direction in which numbers of a problem move: how much each changes per unit of a step."""
+    """A direction in which a problem's data move: changes of data per unit of the step."""
 
     probabilities: Mapping[int, float] = field(
         default_factory=dict
@@ -101,7 +107,7 @@ class Change:
         )
 
     def applied(self, problem: Problem, step: float) -> Problem:
-        """Return the problem with its numbers moved by a step.
+        """Return the problem with its numbers changed by a step in this direction.
 
         Raises:
             ModelError: the criterion rejects the numbers.
@@ -128,7 +134,12 @@ class Change:
         return cast("Problem", replace(cast("Any", problem), constraints=limits, **stated))
 
     def most(self, problem: Problem, sign: float) -> float:
-        """Return the greatest step in a direction that keeps every number at least 0."""
+        """Return the greatest step for which all probabilities and costs stay at least 0.
+
+        Args:
+            problem: the problem.
+            sign: 1 for steps in this direction, -1 for steps in the opposite direction.
+        """
         costs = problem.model.costs_by_name
         start = problem.start_mass if self.start else np.zeros(0)
         at = [
@@ -154,7 +165,10 @@ class Number:
 
     @property
     def scale(self) -> float:
-        """Absolute value of the number, min(p, 1 - p) for a probability p; weights effects."""
+        """Size of the number, by which effects are weighted: its absolute value.
+
+        For a probability p it is min(p, 1 - p); without a value (a group) it is 1.
+        """
         size = 1.0 if self.value is None else abs(self.value)
         return min(size, 1.0 - size) if self.kind in ("probability", "start") else size
 
@@ -179,7 +193,7 @@ class Effect:
 
     @property
     def weight(self) -> float:
-        """Change of the optimum if the number moved by its size at the greater derivative."""
+        """Size of the number times the greater of the two derivatives' absolute values."""
         return max(abs(side or 0.0) for side in (self.left, self.right)) * self.number.scale
 
 
@@ -199,7 +213,7 @@ class _Optimum:
         """Solve the problem's program.
 
         In case S the program distinguishes total costs up to a cap. The cap is raised until no run
-        succeeds beyond it.
+        of an optimal lottery succeeds beyond it.
 
         Args:
             problem: the problem.
@@ -220,8 +234,9 @@ class _Optimum:
         cap = min(cap or first, last)
         while cap <= last:
             measure = _vertex_in_time(solved.with_arguments(cost_cap=cap), begun)
-            if measure.beyond <= _BEYOND:
-                return cls(solved, measure, cap)
+            optimum = cls(solved, measure, cap)
+            if measure.beyond <= _BEYOND and not optimum.beyond_by_others > ROUNDING:  # or nan
+                return optimum
             cap *= 2.0
         raise SolverError("too many total costs given success for derivatives: round the costs")
 
@@ -231,9 +246,9 @@ class _Optimum:
 
     @cached_property
     def scale(self) -> float:
-        """Factor between the derivatives of the Lagrangian and of the optimum.
+        """Factor from derivatives of the Lagrangian to derivatives of the optimum.
 
-        It is negative for a maximum. In case S it divides by the goal probability.
+        It is 1, negative for a maximum; in case S it is divided by the goal probability.
         """
         program = self.measure.program
         sign = 1.0 if program.sense.constant is None else -1.0
@@ -255,7 +270,7 @@ class _Optimum:
 
     @cached_property
     def size(self) -> float:
-        """1 plus the greatest absolute value: the size that tolerances are relative to."""
+        """1 plus the greatest absolute value in ``values``, to which tolerances are relative."""
         return 1.0 + float(np.nanmax(np.abs(self.values)))
 
     @cached_property
@@ -268,7 +283,7 @@ class _Optimum:
 
     @cached_property
     def rows(self) -> list[tuple[float, UpperRow]]:
-        """Limits of the problem that have a price, with the price, as rows of the program."""
+        """Price and row for each limit of the problem that has a positive price."""
         prices, bounds = self.measure.prices, self.measure.program.bounds
         priced = list[tuple[float, UpperRow]]()
         for row in (row for condition in self.problem.conditions for row in condition.rows):
@@ -280,7 +295,7 @@ class _Optimum:
 
     @cached_property
     def paid(self) -> list[tuple[float, SSP]]:
-        """Step costs in the Lagrangian: the weight, and a model whose own cost it is."""
+        """Step costs in the Lagrangian: for each, its weight and a model whose own cost it is."""
         model, semantics = self.problem.model, self.problem.semantics
         counts = not self.problem.ratio and semantics.aim is Aim.LEAST_COST
         own = [(1.0, model)] if counts else []
@@ -289,7 +304,7 @@ class _Optimum:
 
     @cached_property
     def failing(self) -> float:
-        """Price of failing: the price of the budget plus the penalty."""
+        """Price of failing: the budget's price plus the penalty; 1 if the goal is maximised."""
         semantics = self.problem.semantics
         if semantics.aim is Aim.GREATEST_GOAL:
             return 1.0
@@ -298,9 +313,9 @@ class _Optimum:
 
     @cached_property
     def ends(self) -> tuple[FloatArray, float]:
-        """Worth of entering each state and of ending by the discount.
+        """Charges in the Lagrangian: of entering each state, [states], and of an end by discount.
 
-        The worth of entering, [states], does not include the value of the state.
+        The charge of entering a state does not include the state's value.
         """
         quotient = self.measure.program.augmented.quotient
         model, goal, dead = self.problem.model, self.problem.model.goal_mask, quotient.dead
@@ -325,11 +340,11 @@ class _Optimum:
 
     @cached_property
     def outcomes(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        """Outcomes of all columns (pairs) of the program, with their worths.
+        """Outcomes of all columns (pairs) of the program, with their worths (see the file's text).
 
         Returns:
-            Column; outcome of the model; position of the successor in ``values``, -1 for an end;
-            and worth, [entries] each.
+            Four arrays, [entries] each: the column; the outcome of the model; the position of the
+            successor in ``values``, -1 for an end; and the worth.
 
         Raises:
             ModelError: the worths do not explain the value of a state, since the problem counts a
@@ -375,8 +390,8 @@ class _Optimum:
     def by_probability(self) -> FloatArray:
         """Derivative by the probability of each outcome, [outcomes].
 
-        The numbers of one pair are determined up to a common constant, since its probabilities sum
-        to 1.
+        For the outcomes of one pair, the derivatives are determined up to a common constant only,
+        since the probabilities sum to 1.
         """
         column, outcome, _, worth = self.outcomes
         taken = self.measure.visits[column]
@@ -405,20 +420,20 @@ class _Optimum:
 
     @cached_property
     def counts_cost(self) -> dict[str, bool]:
-        """Whether each cost of the model counts at the optimum, by name."""
+        """Whether each cost of the model affects the optimum, by name."""
         by_name = self.problem.model.costs_by_name
         paid = {self._name_of(costs) for _, costs in self.paid}
         own = next(iter(by_name)) if self.problem.ratio else None
         return {name: name in paid or name == own for name in by_name}
 
     def _name_of(self, costs: SSP) -> str | None:
-        """Return the name that the problem gives to a model's own cost, or None."""
+        """Return the name that the problem gives to the own cost of a model; None: no name."""
         by_name = self.problem.model.costs_by_name.items()
         return next((name for name, each in by_name if each is costs.costs), None)
 
     @cached_property
     def _met_on_the_way_to_success(self) -> FloatArray:
-        """Expected count of each outcome in runs that succeed later, in case S, [outcomes]."""
+        """Expected number of occurrences of each outcome in runs that later succeed, [outcomes]."""
         model, (column, outcome, place, _) = self.problem.model, self.outcomes
         process, visits = self.measure.program.process, self.measure.visits
         survival = survival_of(self.problem.discount)
@@ -434,42 +449,66 @@ class _Optimum:
         return np.bincount(outcome, often, model.n_outcomes).astype(np.float64)
 
     @cached_property
-    def charged(self) -> list[tuple[float, SSP, float, slice]]:
-        """Actions whose cost a run pays when it fails.
+    def failures(self) -> sp.csr_array:
+        """Failures for which a run pays the cost of an action, [pairs + 1, states].
 
-        Returns:
-            For each action and cost the weight, a model whose own cost it is, the failing mass, and
-            the range of the action's outcomes.
+        For each visit of a column (last row: at the start) and each state whose cheapest action is
+        charged.
         """
-        if not self.problem.semantics.charge_failing_step:
-            return []
         program, model = self.measure.program, self.problem.model
-        quotient, survival = program.augmented.quotient, survival_of(self.problem.discount)
-        column, outcome, _, _ = self.outcomes
-        often = survival * self.measure.visits[column] * model.probabilities[outcome]
-        lost = np.bincount(model.successors[outcome], often, model.n_states).astype(np.float64)
-        lost = lost * quotient.dead + self.problem.start_mass * quotient.dead
-        gives_up = np.flatnonzero(program.augmented.gives_up)
-        merged = quotient.merged if program.reduced is None else (
-            program.reduced.program.augmented.quotient.merged)  # fmt: skip
+        quotient, (column, outcome, _, _) = program.augmented.quotient, self.outcomes
+        solved = program if program.reduced is None else program.reduced.program
+        gives_up, to = np.flatnonzero(program.augmented.gives_up), model.successors[outcome]
         acting = quotient.first_states[quotient.pair_node[program.augmented.part.pairs[gives_up]]]
-        quitting = np.bincount(acting, self.measure.visits[gives_up], model.n_states) * ~merged
-        staying = attention_pairs(model, attention_states(model))
-        if self.problem.semantics.give_up is GiveUp.ANYWHERE:
-            staying = np.ones_like(staying)
-        charges = list[tuple[float, SSP, float, slice]]()
-        for state in np.flatnonzero(lost + quitting > 0.0).tolist():
-            pairs = np.array(model.pairs_of(state), dtype=np.int64)
-            pairs = pairs if quotient.dead[state] else pairs[staying[pairs]]
-            for weight, costs in self.paid if pairs.size else ():
-                pair = int(pairs[np.argmin(cost_means(costs)[pairs])])
-                some = slice(*map(int, model.outcome_offsets[pair : pair + 2]))
-                charges.append((weight, costs, float(lost[state] + quitting[state]), some))
+        lost = survival_of(self.problem.discount) * model.probabilities[outcome] * quotient.dead[to]
+        begun = self.problem.start_mass * quotient.dead
+        last = np.full(model.n_states, program.process.n_pairs)
+        mass = np.concatenate([lost, ~solved.augmented.quotient.merged[acting], begun])
+        columns = np.concatenate([column, gives_up, last])
+        states = np.concatenate([to, acting, np.arange(model.n_states)])
+        return sp.csr_array((mass, (columns, states)), (last[0] + 1, model.n_states))
+
+    @cached_property
+    def failing_mass(self) -> FloatArray:
+        """Probability of a failure for which an action of each state is charged, [states]."""
+        return np.asarray(np.append(self.measure.visits, 1.0) @ self.failures)
+
+    @cached_property
+    def cheapest(self) -> list[tuple[float, SSP, BoolArray]]:
+        """Cheapest actions of each state, one of which a run pays when it fails there.
+
+        For each cost the weight, a model whose own cost it is, and a mask of the model's pairs.
+        """
+        model, semantics = self.problem.model, self.problem.semantics
+        home, dead = model.pair_state, self.measure.program.augmented.quotient.dead
+        stays = attention_pairs(model, attention_states(model)) | dead[home]
+        stays |= semantics.give_up is GiveUp.ANYWHERE
+        cheapest = list[tuple[float, SSP, BoolArray]]()
+        for weight, costs in self.paid if semantics.charge_failing_step else ():
+            mean = np.where(stays, cost_means(costs), np.inf)
+            least = segment_minima(mean, model.pair_offsets)[home]
+            cheapest.append((weight, costs, stays & (mean <= least + ROUNDING * (1.0 + least))))
+        return cheapest
+
+    @cached_property
+    def charged(self) -> list[tuple[float, SSP, FloatArray, IntArray]]:
+        """Outcomes of the actions whose cost runs may pay when they fail.
+
+        For each cost the weight, a model whose own cost it is, the probability of the failure (0
+        for all but the first of equally cheap actions), and the outcomes.
+        """
+        model, charges = self.problem.model, list[tuple[float, SSP, FloatArray, IntArray]]()
+        for weight, costs, tied in self.cheapest:
+            pairs = np.flatnonzero(tied & (self.failing_mass > 0.0)[model.pair_state])
+            some, counts = entries_of(model.outcome_offsets, pairs)
+            state = model.pair_state[pairs]
+            mass = np.where(np.diff(state, prepend=-1) > 0, self.failing_mass[state], 0.0)
+            charges.append((weight, costs, np.repeat(mass, counts), some))
         return charges
 
     @cached_property
     def by_start(self) -> FloatArray:
-        """Derivative by the start's probability of each state, nan if unknown."""
+        """Derivative by the probability of starting in each state, [states]; nan if unknown."""
         quotient, (entering, _) = self.measure.program.augmented.quotient, self.ends
         live = quotient.node_of >= 0
         begun = np.where(live, self.values[np.where(live, quotient.node_of, 0)], entering)
@@ -498,12 +537,12 @@ class _Optimum:
 
     @property
     def counting_steps(self) -> ProductSSP | None:
-        """Model with the states (state, steps taken), if the problem has a horizon, or None."""
+        """Product model with states (state, steps taken); None if the problem has no horizon."""
         model = self.problem.model
         return model if isinstance(model, ProductSSP) and model.is_hidden else None
 
     def _stated(self, per_outcome: FloatArray) -> FloatArray:
-        """Return sums over the steps of a horizon, for each outcome of the user's model."""
+        """Sum values over the steps of a horizon: one sum for each outcome that the user stated."""
         if (counting := self.counting_steps) is None:
             return per_outcome
         places, size = counting.original_outcome, counting.original.n_outcomes
@@ -520,24 +559,25 @@ class _Optimum:
 
     @cached_property
     def support(self) -> frozenset[Hashable]:
-        """Columns (pairs) that the lottery uses, as numbers, and names of rows with a price."""
+        """Indices of the columns (pairs) that the lottery uses, and names of rows with a price."""
         pairs = self.measure.program.augmented.part.pairs[self.measure.visits > ROUNDING]
-        return frozenset(pairs.tolist()) | {
-            n for n, y in self.measure.prices.items() if y > ROUNDING
-        }
+        return frozenset(pairs.tolist()) | self._priced
 
     @cached_property
     def is_unique(self) -> bool:
-        """Whether no other lottery and no other prices are optimal.
+        """Whether the optimal lottery and the optimal prices are proved to be unique.
 
-        Four conditions are sufficient: every optimal pair of a visited state is used; the number of
-        these pairs is the number of visited states plus the number of tight rows; every tight row
-        has a price; and wherever failing is charged the cost of an action, no other action of the
-        state has this cost.
+        Four conditions are sufficient:
+
+        - Every optimal pair of a visited state is used.
+        - The number of these pairs is the number of visited states plus the number of tight rows.
+        - Every tight row has a price.
+        - Where failing is charged the cost of an action, all other actions of the state have other
+          costs.
         """
         unused = (self.best & (self.measure.visits <= ROUNDING)).any()
         alone = self.has_one_price and self._priced == {*self.tight} and not unused
-        return alone and not self._charges_tie
+        return alone and all((mass > 0.0).all() for _, _, mass, _ in self.charged)
 
     @property
     def _priced(self) -> set[str]:
@@ -555,20 +595,24 @@ class _Optimum:
 
     @cached_property
     def has_one_price(self) -> bool:
-        """Whether the prices are unique: the vertex uses a further pair for each tight row."""
+        """Whether the prices are unique.
+
+        They are if the number of pairs that the vertex uses is the number of visited states plus
+        the number of tight rows.
+        """
         used = self.measure.visits > ROUNDING
         visited = np.unique(self.measure.program.process.pair_state[used]).size
         return int(used.sum()) - visited == len(self.tight)
 
     @cached_property
-    def optima(self) -> Callable[[FloatArray, float], float] | None:
+    def optima(self) -> Callable[[FloatArray], float] | None:
         """Function that minimises a linear function of the visits over all optimal lotteries.
 
-        Its arguments are the coefficients, [pairs], and a constant. It returns the least value, nan
-        if there is none. In case S the value is divided by the goal probability. None instead of
-        the function: several prices may be optimal, or failing steps are charged.
+        Its argument has the coefficients and the constant, [pairs + 1]. It returns the least value,
+        in case S divided by the goal probability; nan if there is none. The property is None if
+        several prices may be optimal.
         """
-        if not self.has_one_price or self.problem.semantics.charge_failing_step:
+        if not self.has_one_price:
             return None
         from ssp_lp.linear_programming.highs import minimiser
 
@@ -577,69 +621,72 @@ class _Optimum:
         room = ROUNDING * (1.0 + np.abs(self.duals.states))  # a far price may be huge
         np.maximum.at(room, home[used], 2.0 * above[used])  # of used columns it is rounding
         best = used | (above <= room[home])
-        columns = np.flatnonzero(np.append(best, [True] * program.ratio))
+        columns = np.flatnonzero(np.append(best, program.ratio))
         lower, matrix = np.array(linear.lower), linear.matrix[:, columns]
         for place in (linear.rows[name] for name in self._priced):
             lower[place] = linear.upper[place]
         least = minimiser(replace(linear, cost=np.zeros(columns.size), matrix=matrix, lower=lower))
-        if program.ratio:  # the last column is the factor by which all visits are multiplied
-            return lambda per, fixed: least(np.append(per, fixed)[columns])
-        return lambda per, fixed: least(per[columns]) + fixed
+        # in case S the last column is the factor by which all visits are multiplied
+        return lambda taken: least(taken[columns]) + (0.0 if program.ratio else taken[-1])
+
+    @property
+    def beyond_by_others(self) -> float:
+        """Greatest probability of success beyond the cap by an optimal lottery, given success.
+
+        The program charges such successes too little. It is 0 if the lottery is the only optimal
+        one, or if the other ones are not compared.
+        """
+        program, own = self.measure.program, self.measure.program.augmented
+        if self.is_unique or self.optima is None:
+            return 0.0
+        is_last = own.part.pairs // own.width == own.copies - 1
+        return -self.optima(np.append(np.where(is_last, -program.process.goal, 0.0), 0.0))
 
     def sides(self, change: Change) -> tuple[float, float] | None:
-        """Return the derivatives to the left and right in a direction if the prices are unique.
+        """Return the derivatives to the left and right in the direction of a change.
 
-        None: several prices may be optimal, or the change leads to a state that no optimal run
-        visits, whose value is not unique.
+        The result is None if several prices may be optimal. It is also None if the change leads to
+        a state that no optimal run visits, because the value of such a state is not unique.
         """
         (column, outcome, _, worth), counting = self.outcomes, self.counting_steps
         model, process = self.problem.model, self.measure.program.process
         given = (model if counting is None else counting.original).probabilities
-        if self.optima is None or any(
-            slope > 0.0 and known[place] == 0.0
-            for known, slopes_of in ((given, change.probabilities),
-                                     (self.problem.start_mass, change.start))
-            for place, slope in slopes_of.items()
-        ):  # fmt: skip
+        opens = _opens(given, change.probabilities) or _opens(self.problem.start_mass, change.start)
+        if self.optima is None or opens:
             return None
-        stated = outcome if counting is None else counting.original_outcome[outcome]
 
         def slopes(of: Mapping[int, float]) -> FloatArray:
-            """Return the change of each entry of ``outcomes``, given changes by outcome."""
-            each = np.zeros((model if counting is None else counting.original).n_outcomes)
+            """Return the change of each outcome's number, given changes of the user's model."""
+            each = np.zeros(given.size)
             each[list(of)] = list(of.values())
-            return np.asarray(each[stated])
+            return each if counting is None else np.asarray(each[counting.original_outcome])
 
-        rises = slopes(change.probabilities)
-        gain = np.where(rises == 0.0, 0.0, rises * worth)
+        rises, own = slopes(change.probabilities), list[FloatArray]()
+        gain = np.where(rises[outcome] == 0.0, 0.0, rises[outcome] * worth)
         for weight, costs in self.paid:
             name = self._name_of(costs)
-            own = {k: slope for (cost, k), slope in change.costs.items() if cost == name}
-            gain += weight * model.probabilities[outcome] * slopes(own)
+            moved = {k: slope for (cost, k), slope in change.costs.items() if cost == name}
+            own.append(model.probabilities * slopes(moved))
+            gain += weight * own[-1][outcome]
         per = np.bincount(column, gain, process.n_pairs) + change.bounds.get("penalty", 0.0) * (
             process.failure)  # fmt: skip
         bounds = {name: slope for name, slope in change.bounds.items() if name != "penalty"}
         fixed = self.along(Change(bounds=bounds, start=change.start)) / self.scale
         if not np.isfinite(per.sum() + fixed):
             return None
-        least, most = self.optima(per, fixed), -self.optima(-per, -fixed)
-        sign = float(np.sign(self.scale))
-        return (sign * most, sign * least) if np.isfinite(least + most) else None
-
-    @property
-    def _charges_tie(self) -> bool:
-        """Whether another action costs as much as the one that a failing run is charged."""
-        model, means = self.problem.model, {id(m): cost_means(m) for _, m in self.paid}
-        for _, costs, _, some in self.charged:
-            pair = int(np.searchsorted(model.outcome_offsets, some.start, side="right")) - 1
-            mean = means[id(costs)][model.pairs_of(int(model.pair_state[pair]))]
-            if (np.abs(mean - means[id(costs)][pair]) <= ROUNDING * (1.0 + mean.max())).sum() > 1:
-                return True
-        return False
+        sides = list[float]()
+        for sign in (-1.0, 1.0):
+            taken = sign * np.append(per, fixed)
+            for (weight, costs, tied), moves in zip(self.cheapest, own, strict=False):
+                mean = segment_sums(rises * costs.costs + moves, model.outcome_offsets)
+                charge = segment_minima(np.where(tied, sign * mean, np.inf), model.pair_offsets)
+                taken += weight * (self.failures @ np.where(np.isfinite(charge), charge, 0.0))
+            sides.append(sign * float(np.sign(self.scale)) * self.optima(taken))
+        return (sides[0], sides[1]) if np.isfinite(sides).all() else None
 
 
 def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> OccupationMeasure:
-    """Solve a problem's program at a vertex, whose prices are exact.
+    """Solve a problem's program at a vertex, where prices are exact.
 
     Args:
         problem: the problem.
@@ -669,7 +716,10 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
 
 
 def _facts(model: SSP) -> dict[str, Any]:
-    """Return facts about a model's graph, by name; if they change, the optimum may jump."""
+    """Return facts about a model's graph by name, such as its dead-ends.
+
+    If a change of numbers changes one of them, the optimum may jump.
+    """
     attention = attention_states(model)
     return {
         "dead-ends": dead_ends(model),
@@ -716,7 +766,7 @@ class WhatIf(Report):
         return Effect(number, left, right, "; ".join(dict.fromkeys(filter(None, (why, also)))))
 
     def _refused(self, change: Change) -> str:
-        """Return the reason why the optimum has no derivative in a direction, or empty."""
+        """Return why the optimum has no derivative in a direction; empty: it has one."""
         problem, model = self.problem, self.problem.model
         if (change.probabilities or change.start) and problem.reach_fraction is not None:
             return "the failure budget changes with the greatest goal probability"
@@ -726,7 +776,7 @@ class WhatIf(Report):
             if (measure.visits[acting] > ROUNDING).any():
                 return "two actions are equally safe: after a change only the safer one is allowed"
         costs = model.costs_by_name
-        rises = any(s > 0.0 == model.probabilities[k] for k, s in change.probabilities.items())
+        rises = _opens(model.probabilities, change.probabilities)
         rises |= any(s > 0.0 == costs[name][k] for (name, k), s in change.costs.items())
         if rises:
             step = min(_STEP, change.most(problem, 1.0) / 2.0)
@@ -737,11 +787,14 @@ class WhatIf(Report):
         return ""
 
     def _side(self, change: Change, sign: float) -> tuple[float | None, str]:
-        """Return a one-sided derivative, extrapolated from nearby optima; or None and the reason.
+        """Extrapolate a one-sided derivative from optima at nearby numbers.
 
         Args:
             change: the direction.
             sign: 1 for the right side, -1 for the left side.
+
+        Returns:
+            The derivative and an empty text; or None and the reason.
         """
         side, most = "left" if sign < 0.0 else "right", change.most(self.problem, sign)
         if most <= 0.0:
@@ -773,8 +826,8 @@ class WhatIf(Report):
         """Return how far a number may fall and rise without a change of the optimal actions.
 
         At a kink of the optimum one of the two steps is 0. The steps are found by bisection on
-        solutions of the program, to a relative accuracy of 1e-6. They are at most 1,000 long, and
-        leave every number at least 0.
+        solutions of the program, to a relative accuracy of 1e-6. No step is longer than 1,000 or
+        makes a number negative.
 
         Args:
             number: a name in the table (such as "failure budget"), a number or a change.
@@ -792,11 +845,16 @@ class WhatIf(Report):
         return -self._reach(change, -1.0), self._reach(change, 1.0)
 
     def _reach(self, change: Change, sign: float) -> float:
-        """Return the length of the step in one direction up to the next breakpoint."""
+        """Return how far a change can go in one direction before the optimal actions change.
+
+        Args:
+            change: the direction.
+            sign: 1 for steps in this direction, -1 for steps in the opposite direction.
+        """
         end = min(change.most(self.problem, sign), _FARTHEST)
 
         def stays(step: float) -> bool:
-            """Return whether the lottery uses the same actions, and the same rows have prices."""
+            """Return whether the same pairs are used and the same rows have prices after a step."""
             try:
                 moved = change.applied(self.problem, sign * step)
                 beside = _Optimum.of(moved, near=self.optimum)
@@ -874,7 +932,8 @@ def what_if(
 def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None) -> list[Number]:
     """Return a number for each group of ``by``.
 
-    Without ``by`` each number is alone, and of a pair's two outcomes only the less likely is given.
+    Without ``by`` each number is a group of its own; if a pair has two outcomes, only the less
+    likely one is returned.
     """
     if by is None:
         return [number for number in numbers if not number.is_rest]
@@ -882,18 +941,12 @@ def _grouped(numbers: Iterator[Number], by: Callable[[Number], Hashable] | None)
     for number in numbers:
         if (key := by(number)) is not None:
             groups.setdefault(key, []).append(number)
-    return [
-        Number("group", str(key), _common_value(some), sum((n.change for n in some), Change()))
-        if len(some) > 1
-        else replace(some[0], name=str(key))
-        for key, some in groups.items()
-    ]
-
-
-def _common_value(numbers: list[Number]) -> float | None:
-    """Return the value of the numbers if they are all equal, or None."""
-    values = {number.value for number in numbers}
-    return values.pop() if len(values) == 1 else None
+    grouped = list[Number]()
+    for key, some in groups.items():
+        values, change = {n.value for n in some}, sum((n.change for n in some), Change())
+        together = Number("group", str(key), values.pop() if len(values) == 1 else None, change)
+        grouped.append(together if len(some) > 1 else replace(some[0], name=str(key)))
+    return grouped
 
 
 def _check_criterion(problem: Problem) -> None:
@@ -914,7 +967,11 @@ def _check_criterion(problem: Problem) -> None:
 
 
 def _numbers(problem: Problem, optimum: _Optimum) -> Iterator[Number]:
-    """Yield a problem's numbers that may matter: bounds, the start, and optimal actions."""
+    """Yield the numbers of a problem that may affect its optimum.
+
+    They are parameters of the model, bounds, probabilities of the start, and numbers of optimal
+    actions.
+    """
     model = problem.model
     for parameter, placed in model.parameters.items():
         moved = Change(probabilities=placed.probabilities, costs=placed.costs)
@@ -939,10 +996,10 @@ def _numbers(problem: Problem, optimum: _Optimum) -> Iterator[Number]:
 def _optimal_pairs(optimum: _Optimum) -> IntArray:
     """Return the pairs of the user's model that are optimal in a visited state, or charged.
 
-    A pair is charged if a failing run pays its cost.
+    A charged pair is one whose cost a failing run pays.
     """
     column, outcome, _, _ = optimum.outcomes
-    charged = [np.arange(some.start, some.stop) for *_, some in optimum.charged]
+    charged = [some for *_, some in optimum.charged]
     used = np.concatenate([outcome[optimum.best[column]], *charged]).astype(np.int64)
     model = optimum.problem.model
     if (counting := optimum.counting_steps) is not None:
@@ -952,16 +1009,16 @@ def _optimal_pairs(optimum: _Optimum) -> IntArray:
 
 
 def _in_proportion(shares: FloatArray, places: list[int], place: int) -> dict[int, float]:
-    """Return changes per unit: one share rises, and all other shares fall in proportion."""
+    """Return changes in which one share rises at rate 1, and the others fall in proportion."""
     rest = 1.0 - float(shares[place])
     paid = {k: -float(shares[k]) / rest for k in places if k != place and shares[k] > 0.0}
     return {place: 1.0, **paid}
 
 
 def _numbers_of_pair(model: SSP, pair: int, optimum: _Optimum) -> Iterator[Number]:
-    """Yield the probabilities of a pair's outcomes, and their costs that count.
+    """Yield the probabilities of a pair's outcomes, and those costs that affect the optimum.
 
-    If all outcomes have equal costs, these are one number.
+    If all outcomes of the pair have the same cost, this cost is one number.
     """
     outcomes = [*range(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))]
     state, action = model.states[int(model.pair_state[pair])], model.action_of(pair)

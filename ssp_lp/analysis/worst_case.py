@@ -31,8 +31,9 @@ class WorstCase(Facts):
     """Worst measures of a policy over boxes, each at the probabilities that are worst for it.
 
     The measures need not occur together: probabilities that maximise the cost need not maximise the
-    failure. If ``is_exact``, each is attained (or approached) by one choice of probabilities;
-    otherwise they are bounds, ``goal_probability`` from below and the others from above.
+    failure. If ``is_exact``, each measure is attained (or approached) by one choice of
+    probabilities. Otherwise ``goal_probability`` is a lower bound, and all other measures are upper
+    bounds.
     """
 
     goal_probability: float  # least
@@ -77,7 +78,7 @@ def worst_case(policy: Policy | MixedPolicy, problem: Problem, boxes: Boxes) -> 
     Failing is declared as soon as the goal cannot be reached by any outcomes that the boxes allow.
 
     Args:
-        policy: on the problem's model, or on one with other probabilities of the same outcomes.
+        policy: on the problem's model, or on a model with other probabilities of the same outcomes.
         problem: problem with the start and the semantics.
         boxes: boxes of the problem's model.
 

@@ -64,7 +64,7 @@ class Column:
 
     @cached_property
     def figures(self) -> FloatArray:
-        """Rewards, [rewards]: cost, failure (or minus goal), and the value in each further row."""
+        """Rewards, [rewards]: cost, failure (or minus success), and value of each further row."""
         return np.array([self.cost, -self.goal if self.by_goal else self.failure, *self.rows])
 
 
@@ -83,8 +83,8 @@ class Proof:
     forms:
 
     - ``failing == price``: the value is ``cost + price * failure``.
-    - ``failing == 0``: the value is ``cost - price * goal``. It is used in case S if the budget is
-      slack, because it loses no digits where failing is optimal.
+    - ``failing == 0``: the value is ``cost - price * goal``. This form is used in case S if the
+      budget is slack, because it loses no digits where failing is optimal.
     """
 
     price: float
@@ -97,10 +97,10 @@ class Proof:
 
 
 def required(part: _Array | None) -> _Array:
-    """Return the choice or totals of a column, which only its pricing problem fills in.
+    """Return a field of a column, the choice or the totals, after a check that it is not None.
 
     Raises:
-        ModelError: the column has none, since it was not made by pricing.
+        ModelError: the field is None, because the column was not made by a pricing problem.
     """
     if part is None:
         raise ModelError("the column has no choice or totals: pass one that pricing returned")
@@ -110,8 +110,8 @@ def required(part: _Array | None) -> _Array:
 class PricingProblem(ABC):
     """Minimises ``cost + failure_price * failure`` over policies, and evaluates the policy found.
 
-    Implementations have an explicit process, layers of accumulated cost, or states that are
-    distributed over several computers.
+    Implementations work on an explicit process, on layers of accumulated cost, or on states that
+    are distributed over several computers.
     """
 
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure
@@ -122,7 +122,7 @@ class PricingProblem(ABC):
         """Number of rewards: cost, failure and one per further limit."""
 
     def counting_success(self) -> Self:
-        """Return this pricing problem with minus the goal as second reward, if supported."""
+        """Return this pricing problem with failure replaced by minus success, if supported."""
         return self
 
     @property
@@ -156,11 +156,11 @@ class PricingProblem(ABC):
 
     @property
     def covered(self) -> float:
-        """Greatest price of failure at which a pricing call also solves lower prices; 0: none."""
+        """Greatest price of failure at which a pricing call also solves all lower prices, or 0."""
         return 0.0
 
     def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
-        """Return columns for lower prices, with failures close to the budget.
+        """Return columns that are optimal at lower prices, and fail about as often as allowed.
 
         They are by-products of the pricing call that found ``column``.
         """
@@ -169,7 +169,10 @@ class PricingProblem(ABC):
     def policy_failing(
         self, column: Column, failure: float, tried: set[int], *, above: bool
     ) -> Policy | None:
-        """Return a policy of about a given failure, a by-product of a pricing call, or None."""
+        """Return a policy of about a given failure probability, or None if none is known.
+
+        The policy is a by-product of the pricing call that found ``column``.
+        """
         return None
 
     def taken_on(self, columns: Sequence[Column]) -> list[Column] | None:
@@ -180,7 +183,7 @@ class PricingProblem(ABC):
         return None
 
     def true_cost(self, column: Column) -> float | None:
-        """Return the exact cost of a column on the model, without a cap; None: unknown."""
+        """Return the exact cost of a column on the model, without a cap; None if it is unknown."""
         return None
 
     @abstractmethod
@@ -267,7 +270,7 @@ class FailureRow:
         follows["rounding"] = _SAME * max(min(budget, demanded), 0.0)
 
     def raised_to(self, least: Column) -> FailureRow:
-        """Return the failure row with its budget raised to the least failure if it is below."""
+        """Return the failure row with a budget of at least the least failure."""
         return self if self.spare(least) >= 0.0 else self.equal_to(least)
 
     def equal_to(self, least: Column) -> FailureRow:
@@ -304,7 +307,8 @@ class FailureRow:
         the bound. Otherwise c = (bound - price * budget) / (1 - budget), since failure <= budget.
 
         With ``proof.failing == 0`` the proof bounds cost - price * goal, which is lower by the
-        price. No digits are lost in this form if the budget is slack or success is rare.
+        price, as failure is 1 - goal. This form loses no digits if the budget is slack or success
+        is rare.
         """
         bound, price, share = proof.bound, proof.price, self.demanded
         worth = price * (share if proof.failing == 0.0 else self.budget)
@@ -332,7 +336,7 @@ def relative_gap(objective: float, lower_bound: float) -> float:
 
 
 def two_sided_gap(one: float, other: float) -> float:
-    """Return the relative gap between an objective and its bound, whichever is greater."""
+    """Return the relative gap between an objective and its bound, given in any order."""
     return relative_gap(max(one, other), min(one, other))
 
 
@@ -341,10 +345,10 @@ CONTRADICTION = 1e-9
 
 
 def least_of(lower_bound: float, objective: float) -> float:
-    """Return the smaller of a lower bound and an objective that must not lie below it.
+    """Return the smaller of a lower bound and the objective of a policy that satisfies the limits.
 
     Raises:
-        SolverError: the bound exceeds the objective by more than rounding, so one is wrong.
+        SolverError: the bound exceeds the objective by more than rounding, so one of them is wrong.
     """
     if lower_bound > objective + CONTRADICTION * max(abs(objective), abs(lower_bound)) + _TINY:
         raise SolverError(

@@ -1,8 +1,8 @@
-"""Layered problems whose only limit is on failure: the problem and its pricing problem.
+"""Problems on layers of accumulated cost whose only limit is on failure, and how to price them.
 
 Beyond the cap on accumulated cost a policy follows a stationary *tail* policy, whose values are
-known in closed form. A *choice*, [layers, nodes], has the position of a pair among the pairs of its
-node, in the smallest integer type that holds it.
+known in closed form. A *choice*, [layers, nodes], is a policy below the cap: for each node of each
+layer, the position of the pair taken among the pairs of the node.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class LayeredPricing(PricingProblem):
     n_rewards: ClassVar[int] = 2
 
     def counting_success(self) -> LayeredPricing:
-        """Return this pricing problem with minus the goal as second reward."""
+        """Return this pricing problem with failure replaced by minus success as second reward."""
         return replace(self, by_goal=True)
 
     @property
@@ -75,9 +75,9 @@ class LayeredPricing(PricingProblem):
     def incumbent(self, reached: Any) -> Column | None:
         """Return the column of a backward sweep that was stopped, or None.
 
-        The sweep has solved the layers from some layer on. The policy that begins an episode in
-        that layer is optimal at a lower price of failure: the price of the sweep minus the layer's
-        total. The result is None if the charge is not the cost itself.
+        The sweep has solved all layers from some layer on. Followed from the start, the policy of
+        these layers is optimal at a lower price of failure: the price of the sweep minus the total
+        of the first solved layer. The result is None if the charge is not the cost itself.
         """
         if not isinstance(reached, PartOfSweep) or reached.layer == self.process.cap:
             return None
@@ -92,7 +92,7 @@ class LayeredPricing(PricingProblem):
 
     @property
     def covered(self) -> float:
-        """Greatest price of failure at which one sweep also solves all lower prices; 0: none."""
+        """Greatest price of failure at which one sweep also solves all lower prices, or 0."""
         return float(self._paid[-1]) if self.is_shifted else 0.0
 
     @cached_property
@@ -107,11 +107,11 @@ class LayeredPricing(PricingProblem):
         return process.totals.values[: process.cap] / process.base.survival
 
     def _begun_in(self, layer: int, swept: Column, measures: FloatArray | None = None) -> Column:
-        """Return the policy that acts at cost 0 as a swept policy does in a given layer.
+        """Return the column that a sweep found for episodes that begin in a given layer.
 
         Args:
-            layer: the layer that becomes the first one.
-            swept: the column of the sweep; its choice is known from ``layer`` on.
+            layer: the layer of ``swept`` that becomes the first one.
+            swept: the column of a sweep; its choice is known from ``layer`` on.
             measures: cost, failure and goal of the result, [3]; None: they are computed.
         """
         if layer == 0 and swept.by_layer is not None:
@@ -129,11 +129,11 @@ class LayeredPricing(PricingProblem):
         return replace(column, choice=None, policy=policy, swept=swept)
 
     def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
-        """Return columns for lower prices, with failures close to the budget.
+        """Return columns that are optimal at lower prices, and fail about as often as allowed.
 
         One backward sweep solves the pricing problem at many prices: the price of the column minus
-        the total of each layer. The price with the best dual bound is next to the optimal price,
-        and one of its neighbours gives the second column.
+        the total of each layer. The first column is optimal at the price with the best dual bound,
+        the second one at a neighbouring price, on the other side of the budget.
         """
         rest = column.by_layer
         if rest is None or column.choice is None or not (row.ratio and row.demanded > 0.0):
@@ -150,15 +150,17 @@ class LayeredPricing(PricingProblem):
     def policy_failing(
         self, column: Column, failure: float, tried: set[int], *, above: bool
     ) -> Policy | None:
-        """Return a policy of about a given failure, which a column's sweep found at a lower price.
+        """Return a policy of about a given failure probability, or None if none is known.
 
-        The failure at each price is the slope of the least value as a function of the price.
+        The sweep that found ``column`` also found the policies that are optimal at lower prices.
+        Their failure probability is the slope of the least value as a function of the price.
 
         Args:
             column: a column that ``minimise`` or ``beside`` returned.
             failure: the failure probability.
-            tried: numbers of layers of the policies returned before, updated; none is repeated.
-            above: whether the policy is the next one that fails more often, or less often.
+            tried: numbers of layers of the policies returned before, which are not returned again;
+                updated.
+            above: whether the policy fails more often than ``failure``, rather than less often.
         """
         swept = column.swept or column
         if swept.by_layer is None or swept.choice is None:
@@ -179,7 +181,7 @@ class LayeredPricing(PricingProblem):
         return replace(self.process, totals=totals)
 
     def first(self) -> Column:
-        """Return the column of the tail policy to the goal, followed from the start."""
+        """Return the column that follows the tail policy to the goal from the start on."""
         base, tails = self.process.base, self.process.tails
         if tails.guess is not None:
             guess = tails.guess[0], 1.0, tails.guess[1] + base.start_goal
@@ -221,8 +223,8 @@ class LayeredPricing(PricingProblem):
     def _minimise_and_prove(self, price: float, choice: IntArray) -> Column:
         """Return a nearly optimal column, with the dual bounds that the same sweep proves.
 
-        The price is so low that failing is optimal beyond the cap, wherever the goal can be
-        avoided. The bound beyond the cap is therefore exact there.
+        The price is so low that beyond the cap failing is optimal in every state that can avoid the
+        goal. The lower bound beyond the cap is exact in these states.
 
         Args:
             price: price of failure.
@@ -236,7 +238,7 @@ class LayeredPricing(PricingProblem):
         return replace(column, work=bellman.Work(2 * self.process.cap, self.process.cap))
 
     def _proved_by(self, swept: Column, price: float, *, slack: bool) -> Proof | None:
-        """Return the dual bound at a price that an earlier sweep proved; None: it proved none."""
+        """Return the dual bound at a price that the sweep of a column proved, or None."""
         layer = int(np.abs(swept.tail_price - self._paid - price).argmin())
         at = swept.tail_price - float(self._paid[layer])
         if abs(at - price) > ROUNDED * price:
@@ -264,10 +266,10 @@ class LayeredPricing(PricingProblem):
         """Return the column of a choice.
 
         Args:
-            totals: charge, failure and goal of the live part of the start, [3].
+            totals: charge, failure and goal of episodes that begin with a step, [3].
             choice: [cap, nodes].
             tail_price: price of failure at which the tails beyond the cap are chosen.
-            backups: number of layer backups that it took.
+            backups: number of layer backups in the search for the choice.
         """
         base, work = self.process.base, bellman.Work(backups, self.process.cap)
         cost, failure, goal = totals.tolist()
@@ -279,7 +281,7 @@ class LayeredPricing(PricingProblem):
     def prove(
         self, price: float | FloatArray, best: Column | None = None, *, slack: bool = False
     ) -> Proof:
-        """Prove the best dual bound at a price, by a backward sweep unless it is known already."""
+        """Prove the best dual bound at a price, by a sweep unless that of ``best`` proved it."""
         price = float(pricing_weights(price)[1])
         swept, proved = None if best is None else best.swept or best, None
         if swept is not None and swept.totals is not None and swept.by_layer is not None:
@@ -291,8 +293,8 @@ class LayeredPricing(PricingProblem):
 
         A backward sweep lowers the values to a sub-solution. It starts from the lower bound beyond
         the cap, and subtracts the rounding error of every backup. Infinite values give the best
-        bound. Then the proof also has the choice that attains the bound, if a forward sweep can
-        follow it.
+        bound. The proof then also has the choice that attains the bound, if a forward sweep can
+        evaluate this choice.
 
         Raises:
             ModelError: values have the wrong shape.
@@ -307,15 +309,15 @@ class LayeredPricing(PricingProblem):
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
         """Return an upper bound of the error of a dual bound that is due to the cap.
 
-        Two sweeps differ in the values beyond the cap: those of the tail policies, or their lower
-        bound. The error is the difference of their results at the start. It is at most the mass
-        that the second sweep's choice takes beyond the cap, times the difference there; 0 if the
-        tail policies are optimal.
+        One sweep starts from the values of the tail policies beyond the cap, another one from lower
+        bounds of all values there. The error is the difference of their results at the start. It is
+        at most the mass that the second sweep's choice sends beyond the cap, times the difference
+        of the values there. It is 0 if the tail policies are optimal.
 
         Args:
             price: price of failure.
-            slack: as in :meth:`check`.
-            proof: a proof at this price; if its bound is as high, the loss is 0.
+            slack: use the form ``cost - price * goal`` (:class:`Proof`).
+            proof: a proof at this price, which may save a sweep.
         """
         process, failing = self.process, 0.0 if slack else price
         tails = process.beyond_value(price, failing)
@@ -352,7 +354,7 @@ class LayeredPricing(PricingProblem):
         return Proof(price, failing, float(bounds[0]), kept, work, choice, by_layer=bounds)
 
     def pulled_back(self, column: Column) -> Policy:
-        """Return the cost-aware policy of a column's choice and its tails."""
+        """Return the policy that follows a column's choice below the cap, and tails beyond."""
         return self.process.policy(required(column.choice), column.tail_price)
 
 
@@ -435,14 +437,14 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def is_trial(self) -> bool:
-        """Whether the cap is a guess: the problem only finds the price that gives the next cap."""
+        """Whether the cap is a guess, and the solution only serves to find a better cap."""
         if self.cap is not None or self.fixed_cap is not None or not self._grows:
             return False
         return self.layer.by_sums or not self._has_exact_tails
 
     @cached_property
     def is_long_shot(self) -> bool:
-        """Whether runs of the easily found policy to the goal are too long to give a cap."""
+        """Whether the quickly found policy to the goal has runs too long to derive a cap from."""
         layer, facts = self.layer, self.facts
         is_guess = self.cap is None and self.fixed_cap is None and self.tails is Tails.ANY_WAY
         if not is_guess or layer.base.quotient.merged.any():
@@ -458,13 +460,13 @@ class CompiledLayered(CompiledProblem):
 
     @cached_property
     def _has_exact_tails(self) -> bool:
-        """Whether the tails are the policies of least failure, by request or by necessity."""
+        """Whether the tails are exact, by request or because simple tails cannot be used."""
         merged = self.layer.base.quotient.merged
         return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self.is_long_shot
 
     @cached_property
     def is_lossy(self) -> bool:
-        """Whether every cap may change the optimum: some start cannot surely avoid the goal."""
+        """Whether every cap may change the optimum: a start state cannot surely avoid the goal."""
         return bool(self.facts.start[~attention_states(self.facts.model)].any())
 
     @property
@@ -509,7 +511,10 @@ class CompiledLayered(CompiledProblem):
         return LayeredProcess(base, totals, tails, self.charge)
 
     def fits(self, cap: float) -> bool:
-        """Return whether layers up to a cap, in units, are few enough; sums are limited later."""
+        """Return whether the layers up to a cap, in units, fit into memory.
+
+        For layers that are sums of costs the result is true: their number is checked later.
+        """
         base = self.layer.base
         return self.layer.by_sums or (cap + base.width) * base.n_nodes <= MOST_ENTRIES
 
@@ -568,7 +573,7 @@ class CompiledLayered(CompiledProblem):
         return max(settled, self.layer.units(CAP_MARGIN * charge.lossless(price)) + room)
 
     def refined(self, price: float) -> CompiledLayered | None:
-        """Return the problem with more layers or exact tails; None: neither would improve it.
+        """Return the problem with more layers or exact tails; None if neither would improve it.
 
         Args:
             price: price of failure at the optimum of this problem.
@@ -607,7 +612,7 @@ class CompiledLayered(CompiledProblem):
         return replace(self, layer=self.layer.safest, cap=None)
 
     def for_program(self) -> CompiledLayered:
-        """Return the problem with exact tails: its explicit process has the problem's optimum."""
+        """Return the problem with exact tails, whose explicit process has the same optimum."""
         if self._has_exact_tails:
             return self
         exact = replace(self, tails=Tails.LEAST_FAILURE)
@@ -620,7 +625,8 @@ class CompiledLayered(CompiledProblem):
 
         Args:
             values: the value function, [layers, nodes].
-            levels: totals of the layers of a policy found with it, of which the last is the cap.
+            levels: totals of the layers of a policy that was found with the value function; the
+                last total is the cap. None: unknown.
 
         Raises:
             ModelError: the array has too few or too many layers for the charge.
@@ -657,12 +663,12 @@ class CompiledLayered(CompiledProblem):
     def least_failure(self) -> LeastFailure:
         """Return the policy of least charge among those of least failure.
 
-        It may remember the accumulated cost. If the charge is the total cost itself, a policy
-        without memory is optimal: a transition of cost g to x' is charged ``g * Pmax(x')``
+        The policy may remember the accumulated cost. If the charge is the total cost itself, a
+        policy without memory is optimal: a transition of cost g to x' is charged ``g * Pmax(x')``
         (mathematics, section 4).
 
         Raises:
-            ModelError: its runs have so many zero-cost steps that rounding errors add up.
+            ModelError: runs have so many zero-cost steps that rounding errors add up.
         """
         facts = self.facts
         policy: Policy

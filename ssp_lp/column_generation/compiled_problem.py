@@ -123,6 +123,20 @@ class GoalFacts:
         return goal_reach.cheapest_reach(self.model, self.least, self.survival)
 
     @cached_property
+    def least_cost(self) -> FloatArray | None:
+        """Lower bound of E[cost; goal] of every policy, [states]; None: 0 at each start state.
+
+        A policy that steps to x' reaches the goal with at least the least goal probability of x'.
+        So the step costs at least its cost times this probability.
+        """
+        least = self.least
+        if not least.bound[self.start > 0.0].any():
+            return None
+        anything = np.ones(self.model.n_pairs, dtype=np.bool_)
+        reach = replace(least, goal=least.bound, surely=anything, solved=None)
+        return goal_reach.cheapest_reach(self.model, reach, self.survival).bound
+
+    @cached_property
     def directed(self) -> goal_reach.ReachPolicy:
         """A policy each of whose steps comes nearer to the goal with positive probability."""
         return goal_reach.goal_directed(self.model, self.survival)
@@ -159,12 +173,12 @@ class CompiledProblem(ABC):
     @property
     @abstractmethod
     def is_trial(self) -> bool:
-        """Whether the cap is a guess: the problem only finds the price that gives the next cap."""
+        """Whether the cap is a guess, and the solution only serves to find a better cap."""
 
     @property
     @abstractmethod
     def is_long_shot(self) -> bool:
-        """Whether the first cap is so poor a guess that case M should give a better one."""
+        """Whether the first cap is a poor guess, and case M should be solved for a better one."""
 
     @property
     @abstractmethod
@@ -182,7 +196,7 @@ class CompiledProblem(ABC):
         """Number of columns of the linear program."""
 
     def capped_at(self, cost: float) -> Self:
-        """Return the problem with a cap near a given accumulated cost, if it may have one."""
+        """Return the problem with a cap near a given accumulated cost, if a cap may be chosen."""
         return self
 
     @abstractmethod
@@ -215,10 +229,10 @@ class CompiledProblem(ABC):
         """Return the pricing problem."""
 
     def counting_rare_success(self, budget: float | None) -> Self:
-        """Return the problem that counts the goal instead of failure if success is rare.
+        """Return the problem with the goal counted in place of failure, if success is rare.
 
         Args:
-            budget: failure budget; None: as low as possible.
+            budget: failure budget; None: least failure.
         """
         return self
 
@@ -240,7 +254,7 @@ class CompiledProblem(ABC):
 
     @abstractmethod
     def refined(self, price: float) -> Self | None:
-        """Return a larger problem with a smaller truncation error; None: none exists.
+        """Return a larger problem with a smaller truncation error; None if there is none.
 
         Args:
             price: price of failure at the optimum of this problem.
@@ -252,7 +266,8 @@ class CompiledProblem(ABC):
 
         Args:
             values: the value function.
-            levels: totals of the layers of a policy found with it; None: multiples of a unit.
+            levels: totals of the layers of a policy that was found with the value function; None:
+                multiples of a unit.
 
         Raises:
             ModelError: no compiled problem has such value functions.
@@ -263,7 +278,7 @@ class CompiledProblem(ABC):
 
         Args:
             price: price of failure of the dual bound.
-            slack: whether it bounds ``cost - price * goal`` (:class:`Proof`).
+            slack: whether the dual bound has the form ``cost - price * goal`` (:class:`Proof`).
             proof: a proof at this price, which may save work.
         """
         return 0.0
@@ -377,8 +392,8 @@ _LEAST = 1e-12  # relative rounding of the goal probability that all safest poli
 class LayerAndTails:
     """The pattern of one layer of accumulated cost, and the tail policies beyond the cap.
 
-    All layers have this pattern, so problems that differ only in their cap share the object. So do
-    problems that differ in their charge, except exponential utilities, which have other tails.
+    All layers have this pattern. One object therefore serves problems that differ only in the cap
+    or the charge, except exponential utilities, which have other tails.
     """
 
     facts: GoalFacts
@@ -405,11 +420,11 @@ class LayerAndTails:
 
     @cached_property
     def guess(self) -> tuple[float, float] | None:
-        """Approximate E[cost; goal] and goal probability of a policy to the goal; None: not needed.
+        """Approximate E[cost; goal] and goal probability of a policy to the goal, or None.
 
-        They replace an exact evaluation in large processes, where it would take longer than a
-        sweep. Then the tail beyond the cap is the policy of least goal probability. If this causes
-        an error, the cap is raised or the tails become exact.
+        The guess is made in large processes only, where an exact evaluation would take longer than
+        a sweep. Both simple tails are then the policy of least goal probability. If this causes an
+        error, the cap is raised or the tails become exact.
         """
         base, later = self.base, self.base.later
         is_large = base.instant.nnz == 0 and later.nnz >= _LARGE
@@ -482,10 +497,13 @@ class LayerAndTails:
         greatest = facts.greatest.bound if exact else np.full(len(least), facts.survival)
         decisions = np.stack([first.decision, last.decision]).astype(np.int32)
         values = TailValues.stacked([first.values, last.values], at)
+        may_fail = self.may_fail and not self.safest_only and self.guess is None
+        if may_fail and facts.least_cost is not None:
+            more["least_cost"] = at(facts.least_cost)
         return LayeredTails(decisions, values, -at(-greatest), at(least), exact=exact, **more)
 
     def totals(self, cap: float) -> Totals | None:
-        """Return the totals below a cap, in units; None: too many sums of step costs."""
+        """Return the totals below a cap, in units; None if the sums of step costs are too many."""
         if not self.by_sums:
             return self.base.totals(int(cap))
         model = self.facts.model
@@ -515,11 +533,12 @@ _CLEARLY = 1e-9  # share of a budget, or of the goal it demands, that exceeds ro
 
 @dataclass(frozen=True, eq=False)
 class CompiledExplicit(CompiledProblem):
-    """Minimise a cost with limits on failure and other quantities; budget None: least failure.
+    """Minimise a cost, with limits on failure and on other quantities.
 
     Without a charge this is case M (paper, section 3.1.2), which needs no layers of accumulated
     cost. With a charge of the total cost (section 3.1.1) the objective is E[charge; goal], or
-    E[charge | goal] if ``ratio``.
+    E[charge | goal] if ``ratio``. If ``budget`` is None, only policies of least failure are
+    feasible.
     """
 
     facts: GoalFacts
@@ -544,7 +563,7 @@ class CompiledExplicit(CompiledProblem):
     is_whole: ClassVar[bool] = True  # whether other problems on the model can be solved here
 
     def counting_rare_success(self, budget: float | None) -> Self:
-        """Return the problem that counts the goal instead of failure if success is rare.
+        """Return the problem with the goal counted in place of failure, if success is rare.
 
         This avoids cancellation in ``1 - failure`` and in limits on the probability of ends.
         """
@@ -651,7 +670,8 @@ class CompiledExplicit(CompiledProblem):
     def _least_failure_alone(self) -> float:
         """Return the least failure probability of the model.
 
-        An InfeasibleError calls this only when its attribute is read.
+        As this may take long, InfeasibleError gets the method itself, and calls it only when its
+        attribute ``least_failure`` is read.
         """
         model, start = self.facts.model, self.facts.start
         with limited(READING, "the least failure probability was computed"):
@@ -708,7 +728,7 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def augmented(self) -> FailureLabelled | written_out.OpenEnded:
-        """The process; end components that add nothing to any reward are collapsed."""
+        """The process, with each end component that adds nothing to any reward collapsed."""
         facts = self.facts
         if self.priced is not None:
             return cast("FailureLabelled | written_out.OpenEnded", self.priced.augmented)
@@ -728,7 +748,7 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def totals(self) -> Totals | None:
-        """The layers' totals; None: multiples of a unit, or no charge."""
+        """The totals of the layers; None if they are multiples of a unit, or without a charge."""
         if self.resolution is None or self.charge is None:
             return None
         first = written_out.first_total(self.charge, self.facts.typical_cost)
@@ -752,7 +772,6 @@ class CompiledExplicit(CompiledProblem):
 
     @cached_property
     def _pricing(self) -> ExplicitPricing | OpenEndedPricing:
-        """The pricing problem, cached."""
         if self.priced is not None:
             return self.priced
         layered = self.augmented
@@ -832,11 +851,11 @@ class CompiledExplicit(CompiledProblem):
         return _MOST_SWEPT if self._is_swept else written_out.MOST_WRITTEN
 
     def refined(self, price: float) -> CompiledExplicit | None:
-        """Return the problem with more layers or optimal tails; None: it cannot be improved.
+        """Return the problem with more layers or optimal tails; None if it cannot be improved.
 
         Args:
-            price: price of failure at the optimum of this problem. Failing is optimal from this
-                accumulated cost on.
+            price: price of failure at the optimum of this problem. Once the accumulated cost
+                exceeds the price, failing is optimal.
         """
         if self.charge is None:
             return None
@@ -893,7 +912,7 @@ class CompiledExplicit(CompiledProblem):
         return replace(self, budget=budget, side=side, priced=priced)
 
     def charging(self, charge: Charge) -> CompiledExplicit:
-        """Return the problem with another charge, whose thresholds are possible total costs."""
+        """Return the problem with another charge; its thresholds must be possible total costs."""
         return replace(self, charge=charge, cap=None, priced=None)
 
     @property

@@ -114,7 +114,7 @@ class ExplicitPricing(PricingProblem):
     def _leaving(self) -> IntArray:
         """A policy that ends every run, at the goal where possible, [states].
 
-        With a time limit it avoids the risk of dead-ends, because it may become the answer.
+        If there is a time limit, the policy avoids dead-ends, because it may become the answer.
         """
         if self.begun_from is not None:
             return self.begun_from
@@ -198,7 +198,7 @@ class ExplicitPricing(PricingProblem):
         return choice, np.stack(totals)[follows, np.arange(len(choice))]
 
     def contracted(self, weights: FloatArray) -> Contraction | None:
-        """Return the contraction of end components that are free at weights; None: there are none.
+        """Return the contraction of the end components that are free at weights; None if none are.
 
         Contractions are cached by the set of nonzero weights.
         """
@@ -302,9 +302,9 @@ class ExplicitPricing(PricingProblem):
     ) -> DualBound:
         """Return checked lower bounds of the weighted totals minus a constant.
 
-        The constant, ``paid``, is what every episode pays when it ends. Up to rounding the result
-        is ``check`` minus ``paid``. Here the difference is summed over the steps, without
-        cancellation: the price of failure ``ratio`` is replaced by a reward of success.
+        The constant, ``paid``, is the amount that every episode pays when it ends. Up to rounding,
+        the result is that of :meth:`lowered` minus ``paid``. To avoid cancellation, the difference
+        is summed over the steps: a reward of success replaces the price of failure ``ratio``.
 
         Args:
             weights: weights of the rewards, >= 0, without the ratio, [rewards].
@@ -329,7 +329,7 @@ def costs_less_earned(own: FloatArray, costs: FloatArray, earned: FloatArray) ->
     """Return ``costs - earned``, [pairs], rounded down where the difference is not exact.
 
     Args:
-        own: the costs without prices, which were not rounded, [pairs].
+        own: costs before any price was added, and thus without rounding, [pairs].
         costs: priced costs, [pairs].
         earned: reward of reaching the goal, >= 0, [pairs].
     """

@@ -2,8 +2,8 @@
 
 Every step has a positive cost, so each layer depends only on later ones. One last layer stands for
 all totals beyond the cap; it has cycles, and is solved by policy iteration. One backward sweep from
-there prices all layers and evaluates the policy in each row. A *choice*, [layers, nodes], has the
-position of a pair among the pairs of its node, in the smallest integer type that holds it.
+there prices all layers and evaluates the policy in each row. A *choice*, [layers, nodes], is a
+policy: for each node of each layer, the position of the pair taken among the pairs of the node.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class OpenEndedPricing(PricingProblem):
     def taken_on(self, columns: Sequence[Column]) -> list[Column]:
         """Return columns of a process with fewer layers, re-evaluated for this process.
 
-        In the additional layers they act as they did beyond the lower cap.
+        In the additional layers the columns act as they did beyond the lower cap.
         """
         first, tails, known = self.sweep.first_pairs, dict[Column | None, Column](), list[Column]()
         for column in columns:
@@ -124,8 +124,8 @@ class OpenEndedPricing(PricingProblem):
 
         Args:
             last: the policy of the last layer, with its totals.
-            weights: weights of the rewards to minimise, [rewards]; None: all layers act as the
-                last one.
+            weights: weights of the rewards to minimise, [rewards]; None: all layers take the pairs
+                of the last one.
         """
         totals, position = required(last.totals), required(last.choice) - self.sweep.first_pairs
         measures = ahead_of(self.augmented, totals)
@@ -135,10 +135,10 @@ class OpenEndedPricing(PricingProblem):
         return Column.of_figures(figures, choice, by_goal=self.by_goal, **kept)
 
     def _tail(self, weights: FloatArray, *warm: Column | None) -> Column:
-        """Return a policy of the last layer for the weights: optimal, or the better of two.
+        """Return the policy to follow in the last layer, at given weights of the rewards.
 
-        It is optimal if ``exact_tails``, or if the cost has weight 0 (phase 1). Otherwise the two
-        policies are one to the goal and one that is optimal if failing is free.
+        The policy is optimal if ``exact_tails``, or if the cost has weight 0 (phase 1). Otherwise
+        it is the better of two: a policy to the goal, and one that is optimal if failing is free.
         """
         if self.exact_tails or weights[0] == 0.0:
             return self._best_beyond(weights, *warm)
@@ -163,7 +163,9 @@ class OpenEndedPricing(PricingProblem):
         return self._proved(pricing_weights(price), self.anything, best)
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Prove a dual bound from values, [states]; infinite values give the best bound.
+        """Prove a dual bound from values in the shape of ``value_shape``.
+
+        An infinite value stands for the largest one that the sweep can prove.
 
         Raises:
             ModelError: values have the wrong shape.
@@ -208,9 +210,9 @@ class OpenEndedPricing(PricingProblem):
 
     @cached_property
     def _less_paid(self) -> Sweep:
-        """The backward sweeps for :meth:`check_less`: with the goal as one more reward.
+        """The backward sweeps for :meth:`check_less`, with the goal as one more reward.
 
-        They do not add the constant by which ends are shifted.
+        They do not add the constant ``OpenEnded.shift`` to the charge of an episode.
         """
         goal = self.augmented.base.survival * self.augmented.base.gain
         counted = np.append(self.sweep.counted, goal[:, None], axis=1)
@@ -266,9 +268,9 @@ def open_sweep(table: OpenEnded, rows: Sequence[FloatArray], *, by_goal: bool) -
 
 
 def ahead_of(table: OpenEnded, beyond: FloatArray) -> FloatArray:
-    """Return values of the last layer, repeated for each layer that one step can reach beyond it.
+    """Return values of the last layer for each layer that a step can reach beyond the cap.
 
-    The shape is [layers, nodes, ...].
+    The shape is [layers, nodes, ...], with equal values in all layers.
     """
     return np.broadcast_to(beyond, (table.base.width - 1, *beyond.shape))
 

@@ -61,7 +61,7 @@ _MOST_STEPS = 10_000  # in fractions, where Bland's rule excludes cycles
 class MasterOptimum:
     """An optimum of the restricted master: weights of the policies and prices of the rows.
 
-    At most one weight more than there are tight rows is positive.
+    The number of positive weights is at most one more than the number of tight rows.
     """
 
     value: float
@@ -146,7 +146,7 @@ class _Program:
         return bool(optimum.value - least <= _KEPT * abs(optimum.value))
 
     def solved_in_fractions(self, basis: list[int]) -> MasterOptimum | None:
-        """Solve the program by simplex steps in fractions; None: no optimal basis was found.
+        """Solve the program by simplex steps in fractions; return None if they find no optimum.
 
         Args:
             basis: indices of the variables of the first basis, [rows + 1].
@@ -179,7 +179,6 @@ class _Program:
         limits = [Fraction(bound) for bound in bounds.tolist()]
 
         def unit(row: int, entry: Fraction) -> list[Fraction]:
-            """Return a unit vector times a number."""
             return [entry if k == row else zero for k in range(n_rows + 1)]
 
         entries = [
@@ -228,7 +227,8 @@ class ExactSimplex:
     def solved(self, basis: Sequence[int]) -> list[int] | None:
         """Return an optimal basis, [rows], by simplex steps from a given basis.
 
-        The result is None if there is none, or if a basis is neither primal nor dual feasible.
+        The result is None if there is no optimal basis, or if a basis on the way is neither primal
+        nor dual feasible.
         """
         basis = list(basis)
         for _ in range(_MOST_STEPS):
@@ -271,12 +271,11 @@ class ExactSimplex:
 
 
 def _dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
-    """Return the scalar product of two exact vectors."""
     return sum((a * b for a, b in zip(one, other, strict=True) if a and b), Fraction(0))
 
 
 def _solved(rows: Sequence[Sequence[Fraction]], right: Sequence[Fraction]) -> list[Fraction]:
-    """Solve linear equations in fractions; ZeroDivisionError: they are singular."""
+    """Solve linear equations in fractions; raise ZeroDivisionError if they are singular."""
     table = [[*row, b] for row, b in zip(rows, right, strict=True)]
     for k in range(len(table)):
         pivot = next((i for i in range(k, len(table)) if table[i][k]), k)

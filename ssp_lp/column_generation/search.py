@@ -264,7 +264,14 @@ class Master:
 
     def solve(self) -> None:
         """Compute the best lottery of the pool's columns, in case S by Dinkelbach's iteration."""
-        rows, columns, figures = self.rows, self.pool.columns, self.pool.figures
+        rows, columns = self.rows, self.pool.columns
+        if len(columns) == 1 >= len(rows.bounds) and not (self.elastic or self.given_success):
+            self.basic, none, all_of_it = columns[0], np.zeros(len(rows.bounds)), np.ones(1)
+            self.optimum = MasterOptimum(self.basic.cost, all_of_it, none, none)
+            self.lottery, self.objective = ((self.basic,), all_of_it), self.basic.cost
+            self.size = abs(self.objective)
+            return
+        figures = self.pool.figures
         for _ in range(_RATIOS):
             cost, taken = figures[0] + self.rows.ratio * figures[1], figures[rows.index]
             if self.elastic or len(taken) > 1:
@@ -321,7 +328,7 @@ class Master:
         return False
 
     def _price_success_at(self, ratio: float) -> None:
-        """Change the ratio, and lower the bound so that it stays valid: failure is at most 1."""
+        """Change the ratio, and lower the dual bound by the change, since failure is at most 1."""
         rise = ratio - self.rows.ratio
         self.bound -= max(rise if self.rows.by_goal else -rise, 0.0)
         self.rows = replace(self.rows, ratio=ratio)
@@ -386,8 +393,8 @@ def secant(cost: FloatArray, taken: FloatArray, bounds: FloatArray) -> MasterOpt
 def certified(master: Master, row: FailureRow, generated: Generated, tolerance: float) -> Generated:
     """Return the result of a search whose only limit is on failure, with a certified bound.
 
-    If there is no time to prove the final bound, the best intermediate bound is used. Without one
-    the bound is -inf, with infinite values, from which a later certificate can prove a bound.
+    If there is no time to prove the final bound, the best intermediate bound is used. If there is
+    none, the bound is -inf, and the values are infinite: a later certificate can start from them.
 
     Args:
         master: the final master of the search.
@@ -614,8 +621,8 @@ def without_negligible_prices(
         prices: [rows].
         sizes: size of each row, [rows]: its bound or, for prices that prove a lower bound, the
             largest value of a policy in the row.
-        objective: a price is negligible if price times size is at most a share of this.
-        trifle: the share.
+        objective: the objective.
+        trifle: a price is negligible if price times size is at most this share of the objective.
     """
     return np.where(prices * sizes <= trifle * abs(objective), 0.0, prices)
 

@@ -28,13 +28,13 @@ Result = TypeVar("Result")
 
 SWITCH: Final = "SSP_LP_ACCELERATOR"
 """Environment variable: "none", "numba" (compile every loop, however short), or unset (compile a
-loop once that saves time, if numba is installed)."""
+loop as soon as this saves time, if numba is installed)."""
 
 _RATE: Final = 50_000_000
 """Entries that numpy expressions process in a second."""
 
 _CALL: Final = 3_000
-"""Entries that take as long as the calls of a short numpy expression."""
+"""Entries that numpy processes in the time that the calls of one short expression take."""
 
 _NUMBA: Final = 0.6 * _RATE
 """Entries processed by numpy after which numba is loaded."""
@@ -46,7 +46,7 @@ _COMPILED: Final = 1.0 * _RATE
 """Entries processed by numpy after which a loop is compiled, mostly in 0.3 to 2 seconds."""
 
 _EARLIER: Final = 0.25
-"""Weight of the entries that earlier processes have processed: if many short processes repeat the
+"""Weight of the entries that earlier processes have processed. If many short processes repeat the
 same work, compiling adds at most a quarter to their total time."""
 
 _COMPILING: Final = 20.0
@@ -56,13 +56,13 @@ _LOADING: Final = 2.0
 """Least time left, in seconds, to load numba in a call."""
 
 _RECORDED: Final = 0.02 * _RATE
-"""Entries processed between two updates of the record beside the cache, of 0.2 ms each."""
+"""Entries processed between two updates of the record beside the cache; an update takes 0.2 ms."""
 
 _RECORD: Final = "passed_over.json"
 
 
 def has_accelerator(wish: str | None = None) -> bool:
-    """Return whether numba is installed and not switched off, and load it.
+    """Load numba, unless it is missing or switched off; return whether it is loaded.
 
     Args:
         wish: the value of the environment variable; None: it is read.
@@ -87,9 +87,9 @@ def give_up_compiling() -> None:
 def _load() -> bool:
     """Load numba once.
 
-    Ctrl-C is deferred for the second that loading takes: a partly loaded numba would remain so, and
-    every later loop of the process would fail ("module 'numba' has no attribute 'core'"). After any
-    other exception from outside, such as a caller's alarm, numba is not used any more.
+    Ctrl-C is deferred until numba is loaded, since a partly loaded numba would make every later
+    loop of the process fail ("module 'numba' has no attribute 'core'"). After any other exception
+    from outside, such as a caller's alarm, numba is not used any more.
     """
     try:
         with _interrupts_deferred():
@@ -106,9 +106,10 @@ def _load() -> bool:
 def accelerated(entries: float, *loops: str) -> bool:
     """Return whether compiled loops replace a numpy expression.
 
-    At first the numpy twin of a loop runs. The loop is loaded from numba's cache, or compiled, once
-    its twin has run for about as long as this takes. The total time is therefore at most doubled.
-    For compiling, the work of earlier processes counts as well. Each loop is judged separately.
+    At first the numpy twin of a loop runs. Once the twin has run for about as long as loading the
+    loop from numba's cache takes, or compiling it, the loop is loaded or compiled. The total time
+    is therefore at most doubled. For compiling, the time that the twin ran in earlier processes
+    counts in part. Each loop is judged separately.
 
     Args:
         entries: number of entries of the expression.
@@ -132,7 +133,7 @@ def may_compile(loop: str) -> bool:
 
 
 class NotCompiledError(Exception):
-    """Error for a loop that is not compiled for the types of a call, and must not be now.
+    """Error: a loop is not compiled for the types of a call, and must not be compiled now.
 
     Args:
         loop: name of the loop.
@@ -144,7 +145,9 @@ class NotCompiledError(Exception):
 
 
 def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Return a function that starts again with numpy if a loop in it must not be compiled.
+    """Wrap a function: if a loop in it must not be compiled now, the function starts again.
+
+    After the second start the loop's numpy twin runs.
 
     Args:
         function: a function that calls ``accelerated`` for each of its loops, and changes none of
@@ -153,7 +156,6 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
 
     @wraps(function)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        """Run the function, again for each loop that must not be compiled now."""
         refused = set[str]()
         while True:
             _frames.depth += 1
@@ -161,7 +163,7 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
                 return function(*args, **kwargs)
             except NotCompiledError as error:
                 if error.loop in refused:
-                    break  # the loop has no twin here
+                    break  # numpy does not replace this loop: run it compiled
                 refused.add(error.loop)
             finally:
                 _frames.depth -= 1
@@ -171,7 +173,7 @@ def with_twin(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
 
 
 class _Frames(threading.local):
-    """Number, by thread, of running functions that ``with_twin`` wraps."""
+    """Number of running functions that ``with_twin`` wraps, for each thread."""
 
     depth = 0
 
@@ -194,7 +196,7 @@ def _announce_compiling() -> None:
 
 @contextmanager
 def _interrupts_deferred() -> Iterator[None]:
-    """Defer Ctrl-C during a block, on the main thread, which alone is interrupted."""
+    """Defer Ctrl-C to the end of a block on the main thread; other threads are not interrupted."""
     before, heard = signal.getsignal(signal.SIGINT), list[int]()
     if threading.current_thread() is not threading.main_thread() or before is None:
         yield
@@ -209,21 +211,21 @@ def _interrupts_deferred() -> Iterator[None]:
 
 
 class _Loops:
-    """State of all compiled loops; it affects the speed of results only."""
+    """Record of the use of all loops so far; it decides when a loop is compiled."""
 
     def __init__(self) -> None:
-        self.running = set[str]()  # in use in this process
-        self.cached = set[str]()  # on disk, by the names of numba's files
-        self.passed = dict[str, float]()  # entries that its twin has processed in this process
-        self.earlier = dict[str, float]()  # the same in earlier processes
-        self.recorded = dict[str, float]()  # part of ``passed`` that is in the record
-        self.loadable = 0.0  # entries of loops that are on disk
+        self.running = set[str]()  # loops that run compiled in this process
+        self.cached = set[str]()  # loops on disk, by the names of numba's files
+        self.passed = dict[str, float]()  # loop -> entries that its twin processed in this process
+        self.earlier = dict[str, float]()  # loop -> entries in earlier processes
+        self.recorded = dict[str, float]()  # loop -> part of ``passed`` that is in the record
+        self.loadable = 0.0  # entries processed by twins of loops that are on disk
         self.unrecorded = 0.0
         self.is_given_up = False  # whether numba was interrupted
         self.places: list[Path] | None = None  # folders of numba's cache; None: not known yet
 
     def is_worth(self, loop: str, entries: float) -> bool:
-        """Return whether a loop should run compiled, and count the entries of this call."""
+        """Count the entries of a call, and return whether the loop should run compiled."""
         if loop in self.running:
             return True
         if self.places is None:
@@ -254,15 +256,15 @@ class _Loops:
         return passed >= _COMPILED and seconds_left() >= _COMPILING
 
     def refuse(self, loop: str) -> None:
-        """Run the twin of a loop from now on, until it is time to compile the loop."""
+        """Run the numpy twin of a loop until compiling the loop pays."""
         self.running.discard(loop)
         self.cached.discard(loop)
 
     def _record(self) -> None:
-        """Add this process's entries to the file of all processes, and read their entries.
+        """Add this process's numbers of entries to those of all processes, and read the result.
 
-        The file lies beside numba's cache. An unreadable file counts as empty. If the file cannot
-        be written, the process counts only its own entries. If two processes write at the same
+        The record is a file beside numba's cache; an unreadable file counts as empty. If the file
+        cannot be written, only this process's entries count. If two processes write at the same
         time, the later numbers are kept.
         """
         self.unrecorded = 0.0
@@ -297,8 +299,8 @@ def cache_folders() -> list[Path]:
 def cached_loops() -> set[str]:
     """Return the names of the loops that have a file in numba's cache.
 
-    The file must belong to this version of Python and be newer than the loop's source. Whether it
-    has the needed types is known only after numba is loaded.
+    The file must belong to this version of Python and be newer than the loop's source. Whether the
+    file has the loop for the needed types is known only after numba is loaded.
     """
     flags = "" if sys.platform == "win32" else sys.abiflags
     ending = f".py{sys.version_info[0]}{sys.version_info[1]}{flags}.nbi"

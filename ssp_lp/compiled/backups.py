@@ -29,12 +29,12 @@ def back_up(
         indptr: position of each pair's first column, [pairs + 1].
         begins: position of each pair's first number, [pairs].
         indices: columns, [entries].
-        data: numbers; rows may share them.
+        data: nonzero numbers; rows with equal numbers may share them.
         cost: fixed cost, [pairs].
         slope: cost per unit of ``factor``, [pairs].
         factor: 0: ``slope`` is not used.
         values: [columns].
-        held: a pair of each state, [states], or empty.
+        held: a pair of each state, also to be evaluated, [states]; or empty.
         minima: written: least values, [states].
         choice: written: pairs, [states].
         here: written unless ``held`` is empty: values of the held pairs, [states].
@@ -66,9 +66,9 @@ def back_up_safely(
     magnitude: Array, slope: Array, factor: float, alone: Array, epsilon: float, values: Array,
     minima: Array, position: Array,
 ) -> None:  # fmt: skip
-    """Compute lower bounds of each state's least value.
+    """Compute a lower bound of each state's least value: a Bellman backup rounded down.
 
-    A bound of the rounding is subtracted from each pair's sum. The arguments are those of
+    A bound of the rounding errors is subtracted from each pair's sum. The arguments are those of
     ``back_up``, and:
 
     Args:

@@ -1,4 +1,4 @@
-"""Compilation of loops: each when it saves time, in one version for one core and one for all."""
+"""Compilation of loops by numba, once this saves time, for one core or for all cores."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ many_entries: Final = ContextVar("many_entries", default=1_000_000)
 """Entries from which on all cores are used: a millisecond of one core."""
 
 _OTHERS = 1.0
-"""Load in excess of the number of cores from which on no core is idle: if others keep both of two
-cores busy, the last of two threads delays the loop, and the robot in case S takes three times as
-long as on one core."""
+"""If the machine's load exceeds its number of cores by this, no core counts as idle. When other
+processes keep both of two cores busy, a loop on two threads waits for the slower thread, and the
+robot in case S takes three times as long as on one core."""
 
 _HALVED: Final = 20
-"""Entries for which a second core saves as much time as numpy takes for one entry."""
+"""Number of entries with which a second core saves the time that numpy takes for one entry."""
 
 Loop = Callable[..., Any]
 
@@ -68,7 +68,7 @@ class _Permission(event.Listener):
             raise NotCompiledError(name)
 
     def on_end(self, event: Any) -> None:
-        """Count the end of a compilation, finished or refused."""
+        """Count the end of a compilation, finished or refused; compilations may be nested."""
         self.depth -= 1
 
 
@@ -85,13 +85,13 @@ def compiled_loop(function: Any = None, **options: Any) -> Any:
     if function is None:
         return partial(compiled_loop, **options)
     dispatcher = njit(**options)(function)
-    with suppress(RuntimeError):  # no writable cache: compiled in each process
+    with suppress(RuntimeError):  # without a writable cache each process compiles the loop
         dispatcher._cache = _Cache(function)
     return dispatcher
 
 
 def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
-    """Compile a loop over ``prange`` for one core and for all.
+    """Compile a loop over ``prange`` in two versions: for one core, and for all cores.
 
     Returns:
         A function from the number of entries to the version to run.
@@ -103,7 +103,6 @@ def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
     name = f"{function.__module__.rpartition('.')[2]}.{copy.__qualname__}"
 
     def loop(entries: int) -> Loop:
-        """Return the version for a number of entries."""
         least = many_entries.get()
         if least > 0 and (entries < least or not _has_idle_cores()):
             return single
@@ -114,14 +113,14 @@ def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
 
 def _has_idle_cores() -> bool:
     """Return whether the machine's load of the last minute leaves idle cores."""
-    with suppress(AttributeError):  # some platforms know no load
+    with suppress(AttributeError):  # not on all platforms
         return os.getloadavg()[0] < (os.cpu_count() or 1) + _OTHERS
     return True
 
 
 @contextmanager
 def on_all_cores() -> Iterator[None]:
-    """Return a context in which short loops also run on all cores, to compile that version."""
+    """Return a context in which all loops, even short ones, use their version for all cores."""
     before = many_entries.set(0)
     try:
         yield

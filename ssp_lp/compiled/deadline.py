@@ -33,11 +33,11 @@ READING = 10.0
 
 _LEAST = 0.1  # least seconds for completing an answer
 _PREPARED = 1.0  # seconds of a search after which an incumbent must exist
-_PREPARED_SHARE = 0.1  # share of the time limit for this, if less
-_PREPARED_UNLIMITED = 10.0  # seconds for this if only Ctrl-C ends the search
+_PREPARED_SHARE = 0.1  # the same as a share of the time limit; the shorter time counts
+_PREPARED_UNLIMITED = 10.0  # the same in seconds if only Ctrl-C ends the search
 _PREPARING = 0.9  # greatest share of the remaining time for finding an incumbent
-_CLOSING_SHARE = 0.1  # share of the time spent for completing an answer after Ctrl-C
-_PIECE = 1_000_000  # entries of a compiled loop between two checks: some hundredths of a second
+_CLOSING_SHARE = 0.1  # time for completing an answer after Ctrl-C, as a share of the time so far
+_PIECE = 1_000_000  # entries of a loop between two checks of the time: some hundredths of a second
 
 
 class Stop(Exception):  # noqa: N818 (no error, as StopIteration)
@@ -70,8 +70,8 @@ class Deadline:
     began: float = 0.0
     is_interrupted: bool = False  # by Ctrl-C
     closes: float = float("inf")  # time by which the answer must be completed
-    was_met: bool = False  # whether some loop ended because of it
-    prepare: Callable[[], Any] | None = None  # finds an incumbent if there is none soon
+    was_met: bool = False  # whether a loop ended because of the deadline
+    prepare: Callable[[], Any] | None = None  # finds an incumbent for a search without one
     prepared: Any = None  # the incumbent that ``prepare`` found
     due: float = 0.0  # time of the next check: to prepare an incumbent, or to stop
     late: str = "the time limit ended before there was an answer: allow more time"
@@ -101,7 +101,7 @@ class Deadline:
             raise OutOfTimeError(self.late) from None
 
     def find_incumbent(self) -> None:
-        """Find an incumbent by ``prepare``, if set, in a share of the remaining time."""
+        """Find an incumbent by ``prepare``, if set, within a share of the remaining time."""
         prepare, self.prepare, now = self.prepare, None, time.perf_counter()
         if prepare is None or self.is_past():
             return
@@ -121,7 +121,7 @@ class Deadline:
             raise Stop
 
     def is_past(self, grace: float = 0.0) -> bool:
-        """Return whether the deadline and a grace period have passed; store it if they have."""
+        """Return whether time is up (deadline plus grace, or Ctrl-C); if so, set ``was_met``."""
         past = self.is_interrupted or time.perf_counter() > self.at + grace
         self.was_met = self.was_met or past
         return past
@@ -141,13 +141,13 @@ _running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 def until(
     at: float, *, is_closing: bool = False, prepare: Callable[[], Any] | None = None
 ) -> Deadline:
-    """Return a context with a deadline: loops end at a point in time, or with Ctrl-C.
+    """Return a context with a deadline, at which loops end; Ctrl-C ends them as well.
 
     Args:
         at: time by ``time.perf_counter``; infinite: only Ctrl-C ends the loops.
-        is_closing: whether to allow no grace period after this time.
-        prepare: function that finds and returns an incumbent, or None. It is called, with a share
-            of the remaining time, if a search has no incumbent after a while.
+        is_closing: True: there is no grace period after this time.
+        prepare: function that finds and returns an incumbent, or None. It is called if a search has
+            no incumbent after a while, and may take a share of the remaining time.
     """
     grace, more = (0.0, 0.0) if is_closing else (_GRACE, _CLOSING)
     now = time.perf_counter()
@@ -183,7 +183,7 @@ def limited(time_limit: float | None, doing: str) -> Iterator[None]:
 def closing() -> Iterator[None]:
     """Allow a little time after the deadline to evaluate the incumbent and to prove its bound.
 
-    Another Ctrl-C ends this time. Before the deadline the context changes nothing.
+    A further Ctrl-C ends this extra time. Before the deadline the context changes nothing.
     """
     outer = _running.get()
     if outer is None or not (outer.is_interrupted or time.perf_counter() > outer.at):
@@ -194,9 +194,10 @@ def closing() -> Iterator[None]:
 
 
 def has_time_for(seconds: float) -> bool:
-    """Return whether work of some seconds may begin.
+    """Return whether there is time for work of some seconds.
 
-    Before the deadline it always may. After the deadline it must fit into the time of ``closing``.
+    Before the deadline there always is. After the deadline the work must fit into the extra time of
+    ``closing``.
     """
     outer, now = _running.get(), time.perf_counter()
     if outer is None or not (outer.is_interrupted or now > outer.at):
@@ -218,7 +219,7 @@ def check_time() -> None:
 def ensure_incumbent(*, by_itself: bool = False) -> None:
     """Find an incumbent now, before a search that may last until the deadline.
 
-    Without a time limit the incumbent is found later, during the search.
+    Without a time limit it is found later, if the search takes long.
 
     Args:
         by_itself: whether the search finds incumbents itself; then none is prepared.
@@ -260,7 +261,7 @@ def seconds_left() -> float:
 
 
 def end_with_incumbent(stop: BaseException) -> None:
-    """Record that a loop with an incumbent caught a stop, so that other loops end as well.
+    """Record that a loop with an incumbent was stopped, so that later loops of the call end too.
 
     Raises:
         KeyboardInterrupt: no deadline is set, so that no call returns an incumbent.
@@ -300,7 +301,7 @@ class WithIncumbent:
 
 
 def backward(end: int, begin: int = 0) -> Iterator[int]:
-    """Yield numbers of layers or points in time, the last first, checking the time before each."""
+    """Yield the numbers end - 1 down to begin, checking the deadline before each."""
     for layer in reversed(range(begin, end)):
         check_time()
         yield layer
@@ -310,8 +311,8 @@ def pieces(length: int, entries: int) -> Iterable[slice]:
     """Split a long loop into pieces, checking the deadline before each.
 
     Args:
-        length: number of turns of the loop.
-        entries: number of entries in all turns.
+        length: number of iterations of the loop.
+        entries: number of entries in all iterations.
     """
     if entries > _PIECE:
         return _several_pieces(length, -(-entries // _PIECE))

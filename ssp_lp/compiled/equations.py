@@ -1,9 +1,10 @@
 """Compiled equations of substochastic chains: reduction, sweeps, sums in twice the precision.
 
-State reduction (Grassmann, Taksar and Heyman 1985): a state is eliminated by redirecting its inflow
-to its successors. The probability of departing is summed over successors and exits, never computed
-as 1 - p. All numbers stay non-negative and accurate relative to their size, however rarely the
-chain is left (Alfa, Xue and Ye 2002). Large components are solved by sweeps and a Krylov method.
+State reduction (Grassmann, Taksar and Heyman 1985): to eliminate a state, the probability of
+entering the state is moved to its successors. The probability of departing is summed over
+successors and exits, never computed as 1 - p. All numbers stay non-negative and accurate relative
+to their size, however rarely the chain is left (Alfa, Xue and Ye 2002). Large components are solved
+by sweeps and a Krylov method.
 
 The advantage of a pair is its cost plus the expected value of its successor, minus the value of its
 state. Advantages with a bound of their rounding, or in twice the precision, have numpy twins in
@@ -28,7 +29,9 @@ def solve_by_elimination(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     order: Array, offsets: Array, first: int, last: int, most: int, rewards: Array, x: Array,
 ) -> int:  # fmt: skip
-    """Solve ``x = rewards + chain @ x`` on components ``first .. last - 1``, ends first.
+    """Solve ``x = rewards + chain @ x`` on the components ``first .. last - 1``, in this order.
+
+    A component leads only to itself and to components before it.
 
     Args:
         indptr: [rows + 1].
@@ -39,7 +42,7 @@ def solve_by_elimination(
         order: states, component by component, [states].
         offsets: offsets of the components in the order, [components + 1].
         first: first component to solve; all before it are solved.
-        last: component before which to stop.
+        last: the component after the last one to solve.
         most: number of states of the largest component.
         rewards: [states, rewards].
         x: written, [states, rewards].
@@ -76,7 +79,7 @@ def _eliminate_one_state(
     indptr: Array, indices: Array, data: Array, exits: Array, row: int, s: int,
     rewards: Array, x: Array,
 ) -> bool:  # fmt: skip
-    """Solve the equation of a component of one state; return false if it is never left."""
+    """Solve the equation of a component of one state; return False if the state is never left."""
     departs = exits[row]
     for j in range(x.shape[1]):
         x[s, j] = rewards[s, j]
@@ -99,7 +102,7 @@ def gather_component(
     order: Array, begin: int, size: int, place: Array, rewards: Array, by_row: bool, x: Array,
     inner: Array, low: Array, leaving: Array, right: Array,
 ) -> None:  # fmt: skip
-    """Write a component's equations as a dense matrix, its exits, and its right side.
+    """Write a component's equations: a dense matrix, exit probabilities, and right sides.
 
     Args:
         indptr: [rows + 1].
@@ -112,7 +115,7 @@ def gather_component(
         size: number of its states.
         place: position of each of its states in the component, -1 elsewhere, [states].
         rewards: rewards of rows or of states.
-        by_row: whether they are rewards of rows.
+        by_row: True: ``rewards`` has a row for each row of the chain; False: for each state.
         x: totals, known for the successors outside the component, [states, rewards].
         inner: written: the matrix, [size, size].
         low: written: for each i the least j <= i such that entry (i, j) or (j, i) can differ from 0
@@ -154,7 +157,7 @@ def gather_component(
 
 @compiled_loop
 def eliminate_component(inner: Array, low: Array, leaving: Array, right: Array, size: int) -> bool:
-    """Solve a component's dense equations, in place; return false if it is never left.
+    """Solve a component's dense equations in place; return False if the component is never left.
 
     The arguments are those that ``gather_component`` has written.
     """
@@ -245,8 +248,8 @@ def gather_inside(
         indices: [entries].
         data: [entries].
         exits: [states].
-        states: the members, in the order in which they are swept.
-        place: position of each state among them, -1 elsewhere, [states].
+        states: the members, in the order in which they are swept, [members].
+        place: position of each state among the members, -1 for other states, [states].
         own_indptr: offsets of the members' rows, [members + 1].
         own_indices: written: positions of successors among the members; the member's own position
             in unused entries, [own entries].
@@ -280,9 +283,9 @@ def from_beyond(
     indptr: Array, indices: Array, data: Array, states: Array, place: Array, departs: Array,
     rewards: Array, x: Array, right: Array,
 ) -> None:  # fmt: skip
-    """Write a component's right sides: rewards and totals of successors outside.
+    """Write a component's right sides: rewards plus expected totals of successors outside.
 
-    Both are divided by the probability of departing. The arguments are those of ``gather_inside``,
+    They are divided by the probability of departing. The arguments are those of ``gather_inside``,
     and:
 
     Args:
@@ -315,7 +318,7 @@ def sweep(
         The greatest change and the greatest absolute value.
     """
     change, size = 0.0, 0.0
-    if x.shape[1] == 2:  # each entry is read once
+    if x.shape[1] == 2:  # both columns in one pass, so that each entry of the matrix is read once
         for s in range(right.shape[0]):
             first, second = right[s, 0], right[s, 1]
             for k in range(indptr[s], indptr[np.uint32(s + 1)]):
@@ -359,7 +362,7 @@ def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
 
 @compiled_loop
 def _square_in_sweep(residual: Array, rho: Array) -> None:
-    """Add the squared norm of a residual to ``rho``, [1], summed in the order of the states."""
+    """Add the squared norm of a residual to ``rho``, [1]; the sum has the order of the states."""
     for s in range(residual.size):
         rho[0] += residual[s] * residual[s]
 
@@ -373,12 +376,13 @@ def bicgstab(
     """Run BiCGStab: add to ``x`` until ``residual`` is at most ``target``.
 
     BiCGStab of van der Vorst (1992) solves ``x - G x = g``, where G is one Gauss-Seidel sweep. The
-    sweep is the preconditioner, and costs no more than a product. ``residual`` is ``g - (x - G
-    x)``. The state (``shadow``, ``p``, ``v``, ``scalar``) is updated, so that a later call can go
-    on.
+    sweep is the preconditioner, and takes no longer than a product with the matrix. ``residual`` is
+    ``g - (x - G x)``. The arrays ``shadow``, ``p``, ``v`` and ``scalar`` are updated, so that a
+    later call can go on.
 
     Returns:
-        The number of sweeps, and whether the method ended.
+        The number of sweeps; and True if the target is reached or no progress is possible, False
+        after ``most_steps``.
     """
     n = residual.size
     t, rho = np.empty(n), scalar[0]
@@ -418,8 +422,9 @@ def work_of_levels(indptr: Array, indices: Array) -> tuple[int, float]:
     """Estimate the work of a direct solution of a component, by distances from its first state.
 
     A level is the set of states at one distance. Nested dissection (George 1973) cuts a piece of m
-    states at a level of the first m states, which becomes a dense block. The multiplications of the
-    dense blocks are summed over pieces of all sizes.
+    states at one level, here at most as large as the greatest level of the first m states. A level
+    becomes a dense block, and the multiplications of these blocks are summed over pieces of all
+    sizes.
 
     Returns:
         The greatest number of states at one distance, and the number of multiplications.
@@ -442,7 +447,7 @@ def work_of_levels(indptr: Array, indices: Array) -> tuple[int, float]:
     return widest, work
 
 
-_LOWERINGS = 8  # most lowerings of a value by its lack; two usually suffice
+_LOWERINGS = 8  # most reductions of a value by its excess over a backup; two usually suffice
 _exact_sum = compiled_loop(exact_sum, inline="always")
 _exact_product = compiled_loop(exact_product, inline="always")
 
@@ -452,9 +457,7 @@ def precise_advantage(
     row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
     high: Array, low: Array, epsilon: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return a pair's advantage at values ``high + low``, and a bound of its rounding.
-
-    It is computed in twice the working precision.
+    """Compute a pair's advantage at values ``high + low`` in twice the working precision.
 
     Args:
         row: the pair's row.
@@ -467,6 +470,9 @@ def precise_advantage(
         high: [states].
         low: [states].
         epsilon: the machine epsilon.
+
+    Returns:
+        The advantage, and a bound of its rounding error.
     """
     total, rest, small, whole = cost, 0.0, 0.0, 0.0
     if exits[row] != 0.0:
@@ -530,9 +536,9 @@ def advantages_precisely(
     home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     high: Array, low: Array, epsilon: float, result: Array, rounding: Array,
 ) -> None:  # fmt: skip
-    """Compute all pairs' advantages in twice the precision, with bounds of their rounding.
+    """Compute all pairs' advantages in twice the working precision.
 
-    Written: ``result`` and ``rounding``, [pairs] each.
+    ``result`` and the bounds of its rounding errors, ``rounding``, are written, [pairs] each.
     """
     for row in prange(home.size):
         result[row], rounding[row] = precise_advantage(
@@ -557,9 +563,10 @@ def shortfalls_safely(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     values: Array, epsilon: float, result: Array,
 ) -> None:  # fmt: skip
-    """Write upper bounds of the excess of each state's value over its backup to ``result``.
+    """Compute upper bounds of the excess of each state's value over its backup.
 
-    [states]; the bounds are at least 0, and infinite where an advantage is nan.
+    They are written to ``result``, [states]. They are at least 0, and infinite where an advantage
+    is nan.
     """
     for s in prange(result.size):
         worst = 0.0
@@ -582,10 +589,10 @@ def lower_in_order(
         indices: [entries].
         data: [entries].
         exits: [pairs].
-        order: states, ends first, [states].
+        order: states, each after the states that it leads to, [states].
         cost: [pairs].
         epsilon: the machine epsilon.
-        values: [states].
+        values: values to reduce, updated, [states].
     """
     for s in order:
         for row in range(offsets[s], offsets[s + np.uint32(1)]):
@@ -604,10 +611,13 @@ def lower_in_order(
 @compiled_loop
 def evaluate_precisely(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
-    order: Array, offsets: Array, most: int, rewards: Array, accuracy: float, corrections: int,
-    epsilon: float, x: Array, low: Array, runs: Array, missed: Array,
+    order: Array, offsets: Array, most: int, rewards: Array, accuracy: float, worst: float,
+    corrections: int, epsilon: float, x: Array, low: Array, runs: Array, missed: Array,
 ) -> bool:  # fmt: skip
-    """Solve a policy's equations to ``x + low`` in twice the precision, and check run lengths.
+    """Solve a policy's equations in twice the working precision; the solution is ``x + low``.
+
+    The expected numbers of steps, t, are computed as well, and it is checked that 2 t is an upper
+    bound of the exact numbers.
 
     Args:
         indptr: [rows + 1].
@@ -615,20 +625,23 @@ def evaluate_precisely(
         data: [entries].
         exits: [rows].
         rows: the row of each state, [states].
-        order: states, component by component, ends first, [states].
+        order: states, component by component, each component after those that it leads to,
+            [states].
         offsets: offsets of the components in the order, [components + 1].
         most: number of states of the largest component.
         rewards: [rows, rewards].
         accuracy: error to reach, relative to the greatest total.
+        worst: error that is accepted if corrections do not reach ``accuracy``.
         corrections: most corrections.
         epsilon: the machine epsilon.
         x: written, [states, rewards].
         low: written, [states, rewards].
-        runs: written: checked run lengths, [states].
+        runs: written: t, [states].
         missed: written: greatest residual of the equations, [rewards].
 
     Returns:
-        Whether the run lengths are a super-solution.
+        Whether the check has succeeded and the errors are small enough; False if some state is
+        never left.
     """
     n, k = x.shape
     right, solved = np.ones((n, k + 1)), np.empty((n, k + 1))
@@ -648,14 +661,16 @@ def evaluate_precisely(
     runs *= -1.0
     before = np.full(k, np.inf)
     right, solved = np.empty((n, k)), np.empty((n, k))
+    is_verified = False
     for _ in range(corrections):
         _precise_miss(*chain, rewards, x, low, epsilon, right, missed)
-        enough, better = True, False
+        is_verified, enough, better = True, True, False
         for j in range(k):
             scale = 0.0
             for s in range(n):
                 scale = max(scale, abs(x[s, j]))
             enough &= 2.0 * longest * missed[j] <= accuracy * scale
+            is_verified &= 2.0 * longest * missed[j] <= worst * scale
             better |= missed[j] < 0.5 * before[j]
         if enough or not better:
             break
@@ -664,7 +679,7 @@ def evaluate_precisely(
         for s in range(n):
             for j in range(k):
                 x[s, j], low[s, j] = _exact_sum(x[s, j], low[s, j] + solved[s, j])
-    return True
+    return is_verified
 
 
 @compiled_loop
@@ -674,8 +689,8 @@ def _precise_miss(
 ) -> None:  # fmt: skip
     """Compute residuals of totals ``x + low`` in twice the working precision.
 
-    Written: ``off``, the residuals, [states, rewards], and ``missed``, a bound of the greatest one
-    for each reward, [rewards].
+    The residuals are written to ``off``, [states, rewards], and a bound of their greatest absolute
+    value to ``missed``, [rewards].
     """
     for j in range(x.shape[1]):
         missed[j] = 0.0

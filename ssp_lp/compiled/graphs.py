@@ -60,7 +60,7 @@ def search_backwards(
     graph: tuple[IntArray, IntArray, IntArray], open_pairs: BoolArray, wanted: IntArray,
     states: IntArray, choice: IntArray | None = None, distance: IntArray | None = None,
 ) -> None:  # fmt: skip
-    """Search backwards from reached states, breadth-first, and close the pairs that lead to them.
+    """Search backwards from given states, breadth-first, and close the pairs that lead to them.
 
     A state is reached as soon as ``wanted`` of its pairs are closed. If ``wanted`` is 1, the search
     finds the states from which some pair may lead to a reached state. If ``wanted`` is the number
@@ -69,9 +69,9 @@ def search_backwards(
     Args:
         graph: offsets of each state's predecessors, [states + 1]; the predecessors, which are
             pairs, [entries]; and the state of each pair, [pairs].
-        open_pairs: pairs that are not closed, updated, [pairs].
-        wanted: number of pairs to close before a state is reached, updated, [states] int64.
-        states: the states from which the search begins.
+        open_pairs: pairs that are not closed yet; updated, [pairs].
+        wanted: number of pairs to close before a state is reached; updated, [states] int64.
+        states: the states from which the search begins, which are reached.
         choice: written: a pair by which each state is reached in the fewest steps; if there are
             several, the one with the lowest index, [states] int64.
         distance: zeros; written: steps from each reached state to ``states``, [states] int32.
@@ -110,6 +110,128 @@ def take_from_queue(
             elif wanted[state] < 0 and distance[state] == steps and pair < choice[state]:
                 choice[state] = pair
     return head, filled
+
+
+def unroll(
+    graph: tuple[IntArray, IntArray, IntArray, FloatArray], begin: IntArray, steps: int
+) -> tuple[IntArray, IntArray, tuple[IntArray, ...]]:
+    """Return the states that are reached after each number of steps, with their outcomes.
+
+    Args:
+        graph: offsets of each state's pairs, [states + 1], and of each pair's outcomes,
+            [pairs + 1]; the outcomes' successors and probabilities, [outcomes] each.
+        begin: states in which episodes may begin, ascending.
+        steps: number of steps after which an episode is over.
+
+    Returns:
+        The states, one layer after the other, ascending except that states without pairs come
+        first in the last layer; offsets of the layers, [steps + 2]; and the last five arguments of
+        ``fill_layers``.
+    """
+    offsets, bounds, successors, probabilities = graph
+    n, arrays = offsets.size - 1, (offsets, bounds, unsigned(successors), probabilities)
+    found, layers = np.empty((steps + 1) * n, dtype=np.uint32), np.zeros(steps + 2, dtype=np.int64)
+    counts, place, layer = np.zeros(2, dtype=np.int64), np.full(n, -1, dtype=np.int32), 0
+    found[: begin.size], layers[1] = begin, begin.size
+    while layer < steps:
+        check_time()
+        layer = find_layers(*arrays, found, layers, counts, place, layer, steps)
+    states, layer = found[: layers[-1]], 0
+    taken, outcomes = (np.empty(count, dtype=np.int64) for count in counts)
+    own, ends = (np.zeros(part.size + 1, dtype=np.int64) for part in (states, taken))
+    written = own, ends, np.empty(outcomes.size, dtype=np.int32), taken, outcomes
+    while layer <= steps:
+        check_time()
+        layer = fill_layers(*arrays, states, layers, place, layer, *written)
+    return states.astype(np.int64), layers, written
+
+
+@compiled_loop
+def find_layers(
+    offsets: Array, bounds: Array, successors: Array, probabilities: Array, found: Array,
+    layers: Array, counts: Array, place: Array, layer: int, steps: int,
+) -> int:  # fmt: skip
+    """Find the states of some further layers of ``unroll``; return the number of layers found.
+
+    Args:
+        offsets: pairs of each state, [states + 1].
+        bounds: outcomes of each pair, [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        found: states of the layers, one after the other; written.
+        layers: offsets of the layers; written, [steps + 2].
+        counts: numbers of pairs and of possible outcomes in the layers found; updated, [2].
+        place: the last layer in which a state was found, -1: none; updated, [states].
+        layer: number of layers found before, without the first one.
+        steps: number of steps after which an episode is over.
+    """
+    n, most = offsets.size - 1, counts[1] + _TURNS
+    while layer < steps and counts[1] < most:
+        filled, layer = layers[layer + 1], layer + 1
+        for k in range(layers[layer - 1], layers[layer]):
+            s = found[k]
+            counts[0] += offsets[s + 1] - offsets[s]
+            for entry in range(bounds[offsets[s]], bounds[offsets[s + 1]]):
+                t = successors[entry]
+                if probabilities[entry] > 0.0:
+                    counts[1] += 1
+                    if place[t] != layer:
+                        acts = layer == steps and offsets[t] < offsets[t + 1]
+                        place[t], found[filled] = layer, t + n * acts  # sorted behind the others
+                        filled += 1
+        layers[layer + 1] = filled
+        found[layers[layer] : filled].sort()
+        for k in range(layers[layer], filled):
+            found[k] %= n
+    return layer
+
+
+@compiled_loop
+def fill_layers(
+    offsets: Array, bounds: Array, successors: Array, probabilities: Array, states: Array,
+    layers: Array, place: Array, layer: int,
+    own: Array, ends: Array, targets: Array, taken: Array, outcomes: Array,
+) -> int:  # fmt: skip
+    """Write the outcomes of some further layers of ``unroll``; return the number of layers done.
+
+    Args:
+        offsets: pairs of each state, like the next four as in ``find_layers``.
+        bounds: outcomes of each pair.
+        successors: [outcomes].
+        probabilities: [outcomes].
+        states: states of all layers.
+        layers: offsets of the layers, [steps + 2].
+        place: overwritten by the places of the next layer's states, [states].
+        layer: number of layers done before.
+        own: written: offsets of the pairs of the layers' states, [states of all layers + 1].
+        ends: written: offsets of the outcomes of the layers' pairs, [pairs of all layers + 1].
+        targets: written: places of the outcomes' successors, [outcomes of all layers].
+        taken: written: pairs of the graph, [pairs of all layers].
+        outcomes: written: outcomes of the graph, [outcomes of all layers].
+    """
+    begin, end = layers[layer], layers[layer + 1]
+    pair = own[begin]
+    k = ends[pair]
+    most = k + _TURNS
+    while layer < layers.size - 1 and k <= most:
+        begin, end = layers[layer], layers[layer + 1]
+        layer += 1
+        if layer == layers.size - 1:
+            own[begin + 1 :] = pair
+            break
+        for there in range(end, layers[layer + 1]):
+            place[states[there]] = there
+        for here in range(begin, end):
+            for held in range(offsets[states[here]], offsets[states[here] + 1]):
+                taken[pair] = held
+                for entry in range(bounds[held], bounds[held + 1]):
+                    if probabilities[entry] > 0.0:
+                        outcomes[k], targets[k] = entry, place[successors[entry]]
+                        k += 1
+                pair += 1
+                ends[pair] = k
+            own[here + 1] = pair
+    return layer
 
 
 def order_components(
@@ -213,7 +335,7 @@ def _not_entered(
     state: int, place: Array, end: Array, indices: Array, data: Array,
     number: Array, low: Array,
 ) -> np.int64:  # fmt: skip
-    """Return the next successor that the search has not found yet, or -1."""
+    """Follow a state's entries to a successor that the search has not found yet; -1: no more."""
     k, past, least = place[state], end[state], low[state]
     while k < past:
         successor, met = indices[k], number[indices[k]]

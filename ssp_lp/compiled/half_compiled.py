@@ -1,7 +1,7 @@
 """Detection of exceptions that interrupt numba's compiler, such as Ctrl-C or a caller's alarm.
 
-A partly compiled loop, or a partly filled registry of numba, would break every later compilation in
-the process ("no compiled object yet").
+They may leave a loop partly compiled, or a registry of numba partly filled. Every later compilation
+in the process would then fail ("no compiled object yet").
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ssp_lp.compiled.accelerator import give_up_compiling
 
 
 class _LockDepth(threading.local):
-    """Number of times that a thread holds numba's compiler lock."""
+    """Number of times that a thread holds numba's compiler lock, which it may take repeatedly."""
 
     depth = 0
 
@@ -28,13 +28,13 @@ class _Compiling(event.Listener):
         self._thread = _LockDepth()
 
     def on_start(self, event: Any) -> None:
-        """Store the exception that the caller is handling, if any, when the lock is taken."""
+        """Store the exception that is being handled when the lock is taken, if any."""
         self._thread.depth = self._thread.depth + 1
         if self._thread.depth == 1:
             self._thread.handled = sys.exc_info()[1]
 
     def on_end(self, event: Any) -> None:
-        """Give up compiling if an exception leaves numba when the lock is released.
+        """Give up compiling if numba releases the lock because of an exception.
 
         Errors of this package are raised before the compiler starts, and do not count.
         """

@@ -1,8 +1,9 @@
 """Compiled passes over the layers of accumulated cost, backward and forward.
 
-``layers`` is a block of layers (``accumulated_cost.sweep._Layers``). A class of steps has one cost.
-The measures of a pair are its expected charge and its expected totals of counted rewards. Free
-steps have cost 0 and stay in their layer.
+A layer is one accumulated cost; ``layers`` is a block of layers
+(``accumulated_cost.sweep._Layers``). A class of steps has one cost. The measures of a pair are the
+expected charge and the expected totals of counted rewards, from the pair to the end of the run.
+Free steps have cost 0 and stay in their layer.
 
 Without fast-math sums run in the order of scipy's products, so that both agree to the last bit.
 Index arrays are unsigned views, because numba tests signed indices for negative values.
@@ -24,7 +25,7 @@ ACCURATE = 1e-14
 """Relative change of values and measures at which sweeps over a layer end: near rounding."""
 
 _LOWERINGS = 16
-"""Most sweeps in which bounds within a layer are lowered by each other's rounding."""
+"""Most sweeps that lower the bounds of a layer to their backups, whose rounding depends on them."""
 
 
 class OneLayer(NamedTuple):
@@ -32,7 +33,7 @@ class OneLayer(NamedTuple):
 
     begin: Array  # [classes] position of the first value of the layer that a step leads to
     charged: Array  # [columns] charge of arriving
-    factor: float  # factor of the growth
+    factor: float  # accumulated cost, by which the growth of a charge is multiplied
     weight: float  # weight of the charge
     owed: Array  # [pairs] cost in addition to the charge, non-negative
     saved: Array  # [pairs] reward, non-negative
@@ -81,11 +82,10 @@ def _settle(
     layers: Any, one: OneLayer, row: Any, values: Array, picks: Array, measured: Array,
     here: Array,
 ) -> None:  # fmt: skip
-    """Write the least values of a layer, and the pairs that attain them.
+    """Write the least value of each node in a layer, and the pair that attains it.
 
-    If free steps have cycles, Gauss-Seidel sweeps run forwards and backwards over the layer. They
-    evaluate a choice until its values do not change, and then improve it. If there are no cycles,
-    one sweep suffices, which also writes the measures of the choice.
+    If free steps have cycles, Gauss-Seidel sweeps evaluate a choice until its values do not change,
+    and then improve it. If there are no cycles, one sweep suffices, which also writes the measures.
     """
     n, is_greedy = picks.size, True
     if layers.turns == 1:
@@ -118,7 +118,7 @@ def _settle(
 def _measure(
     layers: Any, one: OneLayer, picks: Array, row: Any, measured: Array, here: Array,
 ) -> None:  # fmt: skip
-    """Write the measures of a layer's choice, for all its nodes."""
+    """Write the measures of the chosen pair of each node in a layer."""
     n = picks.size
     for turn in range(layers.turns):
         is_same = True
@@ -138,11 +138,10 @@ def _measure(
 def _lower(
     layers: Any, one: OneLayer, row: Any, values: Array, within: Array,
 ) -> None:  # fmt: skip
-    """Reduce the values of a layer until none exceeds its backup, rounded down.
+    """Reduce the values of a layer until none exceeds its Bellman backup, rounded down.
 
     If free steps have cycles, some sweeps lower each value to its backup. The greatest remaining
-    excess, times a bound of the steps within a layer, is then subtracted from all values. After
-    this none exceeds its backup.
+    excess, times a bound of the expected number of free steps, is then subtracted from the values.
     """
     n, excess, largest = layers.order.size, 0.0, 0.0
     for turn in range(_LOWERINGS + 1 if layers.turns > 1 else 1):
@@ -163,7 +162,7 @@ def _lower(
                     stage += one.weight * one.factor * layers.growth[pair]
                     whole += one.weight * one.factor * layers.growth[pair]
                 total, size = stage + total, whole + size
-                if size != max(one.owed[pair], one.saved[pair], abs(own)):  # a single term is exact
+                if size != max(one.owed[pair], one.saved[pair], abs(own)):  # one term: no rounding
                     terms = float(layers.indptr[pair + 1] - layers.indptr[pair]) + 4.0
                     total -= (terms * MACHINE_EPSILON) * size
                 least = min(least, total)
@@ -183,19 +182,22 @@ def sweep_layers(
     layers: Any, weight: float, owed: Array, saved: Array, values: Array, measured: Array,
     position: Array, keeps: bool, within: Array, given: Array,
 ) -> None:  # fmt: skip
-    """Sweep backward over a block of layers in one pass, the last layer first.
+    """Compute values, or their lower bounds, by one backward sweep over a block of layers.
 
     Args:
         layers: the block of layers.
         weight: weight of the charge.
         owed: cost of a pair in addition to the charge, non-negative, [pairs].
         saved: reward of a pair, non-negative, [pairs].
-        values: values of the layers, written, and of later layers, given, [all layers * nodes].
+        values: values of all layers: those of the block are written, those of later layers are
+            read, [all layers * nodes].
         measured: measures, in the same order, [all layers * nodes, 1 + counted]; empty: not
             computed.
         position: the choice among each node's pairs, [layers, nodes].
-        keeps: whether the choice is given rather than written; values are then not used.
-        within: numbers t of free steps with t >= 1 + expected t after any free step, [nodes].
+        keeps: True: ``position`` is given, and only ``measured`` is computed; False: ``position``
+            is written.
+        within: for each node a bound t of the expected number of free steps in a row: t >= 1 +
+            (mean of t after a free step), [nodes].
         given: numbers that lower bounds must not exceed, [layers, nodes]; empty: compute least
             values instead of lower bounds.
     """
@@ -232,7 +234,7 @@ def sweep_layers(
 def _total_of(
     pair: Any, layers: Any, at: int, many: int, values: Array, total: Array, size: Array,
 ) -> None:  # fmt: skip
-    """Write the expected value after a pair, and its size, for each layer of a block.
+    """Write the expected value after a pair for each layer of a block.
 
     Args:
         pair: the pair.
@@ -241,7 +243,7 @@ def _total_of(
         many: number of layers in the block.
         values: [nodes, all layers].
         total: written: expected values, [many].
-        size: written: sums of absolute terms, [many]; empty: not needed.
+        size: written: sums of the absolute terms of the expected values, [many]; empty: not needed.
     """
     is_sized = size.size > 0
     total[:many] = 0.0
@@ -273,7 +275,7 @@ def _measure_run(
         first: first layer to write, counted from ``at``.
         past: the layer after the last one, counted from ``at``.
         measured: updated, [1 + counted, nodes, all layers].
-        here: memory for the sums, [layers of a block].
+        here: working memory for the sums, [layers of a block].
         s: the node.
     """
     charge_row = 0
@@ -302,12 +304,12 @@ def sweep_blocks(
 ) -> None:  # fmt: skip
     """Sweep backward like ``sweep_layers``, in blocks of layers that do not lead to each other.
 
-    The numbers of one node for all layers lie side by side in memory, so that the processor's
-    vector instructions compute several layers together. Each sum has the order of ``sweep_layers``.
+    The numbers of one node for all layers lie side by side in memory, so that vector instructions
+    compute several layers together. Terms are summed in the order of ``sweep_layers``.
 
     Args:
         layers: the layers; each class of steps passes a fixed number of them, at least ``block``.
-        block: layers of a block.
+        block: number of layers in a block.
         weight: weight of the charge.
         owed: as in ``sweep_layers``.
         saved: as in ``sweep_layers``.
@@ -316,7 +318,8 @@ def sweep_blocks(
         measured: measures of the same layers, [1 + counted, nodes, all layers]; no nodes: not
             computed.
         position: the choice among each node's pairs, [layers, nodes].
-        keeps: whether the choice is given; then only ``measured`` is computed, without values.
+        keeps: True: ``position`` is given, and only ``measured`` is computed; False: ``position``
+            is written.
         is_bound: whether lower bounds are computed, rounded down, rather than least values.
         given: numbers that lower bounds must not exceed, [layers, nodes]; empty: no limits.
     """
@@ -345,7 +348,7 @@ def sweep_blocks(
                         total[j] = own[j] + owed[pair] - saved[pair] + more + total[j]
                         if is_bound:
                             whole = abs(own[j]) + owed[pair] + saved[pair] + more + size[j]
-                            is_single = whole == max(alone, abs(own[j]))  # which is exact
+                            is_single = whole == max(alone, abs(own[j]))  # one term: no rounding
                             total[j] -= 0.0 if is_single else factor * whole
                     number = pair - first
                     for j in range(many):
@@ -373,11 +376,11 @@ def stream_mass(
     mass: Array, pairs: Array, offsets: Array, successors: Array, probabilities: Array,
     classes: Array, ring: Array, costs: Array, waiting: Array,
 ) -> None:  # fmt: skip
-    """Send the mass of a layer to later layers, on one core, so that sums keep their order.
+    """Send the mass of a layer to later layers, on one core for a fixed order of summation.
 
     Args:
-        mass: one column, or three for each discount, the second of which is the first times the
-            accumulated cost, [k, columns].
+        mass: mass of k states, [k, 1]; or for each discount three columns: mass, mass times
+            accumulated cost, and mass that can no longer reach the goal, [k, 3 * discounts].
         pairs: pair taken in each state with mass, negative if none is taken, [k].
         offsets: outcomes of each pair, [pairs + 1].
         successors: [outcomes].
@@ -410,8 +413,9 @@ def stream_evenly(
     """Follow a policy's mass through layers; each class of steps passes a fixed number of them.
 
     Args:
-        waiting: mass, mass times the accumulated cost, and mass that has lost the goal; written,
-            [rows of the ring, states, 3 * discounts]; or the mass alone, [rows, states, 1].
+        waiting: a ring buffer of layers, updated: for each discount mass, mass times accumulated
+            cost, and mass that can no longer reach the goal, [rows, states, 3 * discounts]; or mass
+            alone, [rows, states, 1].
         first: the first layer.
         decision: position in the state's pairs, or a code, [layers, states].
         hopeful: whether the goal can be reached, [layers, states]; empty: everywhere.
@@ -427,7 +431,7 @@ def stream_evenly(
         stage: mean cost of a step, [pairs]; if empty, ``stopping`` and ``forbidden`` are empty.
         stopping: cost of failing in a state, [states].
         forbidden: whether giving up is not allowed, [states].
-        goes_on: whether costs are paid after the goal is lost.
+        goes_on: whether costs are paid after the goal is out of reach.
         column: index of the first of the three columns that are followed.
         survival: discount of these columns.
         totals: goal, failure, cost of success, cost until failure; written, [layers, 4].
@@ -439,7 +443,8 @@ def stream_evenly(
     room, several, is_charged = waiting.shape[0], waiting.shape[2] > 1, stage.size > 0
     for layer in range(decision.shape[0]):
         row, sums = waiting[(first + layer) % room].copy(), totals[layer]
-        waiting[(first + layer) % room, :, column : column + 3] = 0.0  # the longest steps lead here
+        # the row is free for the layer to which the longest steps lead
+        waiting[(first + layer) % room, :, column : column + 3] = 0.0
         for s in range(row.shape[0]):
             mass, paid, lost = row[s, column], 0.0, 0.0
             if several:
@@ -490,21 +495,21 @@ def stream_layers(
     waiting: Array, heads: Array, links: Array,
     indptr: Array, indices: Array, data: Array, first: int, arrived: Array,
 ) -> int:  # fmt: skip
-    """Settle layers one after the other: collect the mass at the goal, send on all other mass.
+    """Follow mass from layer to layer: collect it at the goal, send it on elsewhere.
 
     The mass waits in a ring buffer of layers. Only entries with mass are visited: they form a
     linked list for each layer.
 
     Args:
-        waiting: mass; the last node of each layer is the goal, [layers of the ring * nodes];
-            written.
-        heads: first entry with mass of each layer, -1: none; written, [layers of the ring].
-        links: next entry of the same layer, -1: none; written, in the shape of ``waiting``.
+        waiting: mass; the last node of each layer is the goal; updated, [layers of the ring *
+            nodes].
+        heads: first entry with mass of each layer, -1: none; updated, [layers of the ring].
+        links: next entry of the same layer, -1: none; updated, in the shape of ``waiting``.
         indptr: offsets of the moves of each node except the goal, [nodes].
         indices: successors, relative to the node's own layer, [moves].
-        data: [moves].
+        data: probabilities, [moves].
         first: the first layer.
-        arrived: written, [layers to settle].
+        arrived: written: mass at the goal of each layer, [layers to follow].
 
     Returns:
         The number of moves followed.
@@ -532,11 +537,11 @@ def stream_layers(
 
 @compiled_loop(inline="always")
 def _add_exactly(sums: Array, j: int, term: float) -> None:
-    """Add a term to sum ``j`` by compensated summation.
+    """Add a term to one of several sums, by compensated summation.
 
     Args:
         sums: sums and their rounding errors, updated, [sums, 2].
-        j: number of the sum.
+        j: index of the sum.
         term: the term.
     """
     whole = sums[j, 0] + term
@@ -553,7 +558,7 @@ def follow_layer(
     offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array,
     charge: Array, growth: Array, layer: float, counted: Array, onward: Array, sums: Array,
 ) -> None:  # fmt: skip
-    """Send the mass of a layer on by a choice, and add what it collects to the choice's measures.
+    """Move the mass of a layer by the chosen pairs, and add the charges and rewards to ``sums``.
 
     Args:
         mass: [nodes].
@@ -567,7 +572,7 @@ def follow_layer(
         growth: increase of the charge per unit of the total, [pairs] or empty.
         layer: accumulated cost of the layer.
         counted: quantities in addition to the charge, [pairs, counted].
-        onward: mass of the columns, added to, [columns].
+        onward: mass that arrives at each column, added to, [columns].
         sums: the measures and their rounding errors, [1 + counted, 2], added to.
     """
     terms = np.zeros(len(sums))
@@ -592,13 +597,15 @@ def follow_layer(
 def follow_layers(
     layers: Any, first: int, position: Array, ring: Array, sums: Array,
 ) -> None:  # fmt: skip
-    """Send mass on through layers; each class of steps must pass a fixed number of them.
+    """Move mass by the chosen pairs, layer by layer, and add the charges and rewards to ``sums``.
+
+    Each class of steps must pass a fixed number of layers.
 
     Args:
         layers: all layers.
         first: the first layer that is followed.
         position: position of the chosen pair among the node's pairs, [followed, nodes].
-        ring: mass; that of a layer is in row (layer modulo rows); written, [rows, nodes].
+        ring: mass; that of a layer is in row (layer modulo rows); updated, [rows, nodes].
         sums: the measures and their rounding errors, [1 + counted, 2], added to.
     """
     rows, to = ring.shape[0], np.empty(layers.leads.shape[1], np.int64)
@@ -645,7 +652,8 @@ def stream_marks(
         classes: class of the step cost, [outcomes]; empty: all outcomes are of class 0.
         leads: layers that each class of steps passes, [classes].
         order: states, each after the states its free steps lead to, as far as possible, [states].
-        hopeful: written, [layers and later layers, states].
+        hopeful: marks; those of the layers are written, those of later layers are read, [all
+            layers, states].
     """
     n_layers, n = decision.shape
     stays = leads.min() == 0

@@ -1,7 +1,7 @@
 """Compiled selection of rows: a process from a model's outcomes, a policy from a process.
 
-In a process a node is a state, or several states that are treated as one, at which a run goes on. A
-row belongs to a pair, and has the probabilities of the nodes to which it leads.
+A node of a process is a state at which a run goes on, or several such states that are treated as
+one. A row belongs to a pair, and has the probabilities of the nodes to which the pair leads.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def fill_rows(
     The arguments are those of ``count_rows``, and:
 
     Args:
-        ahead: number of layers that each outcome passes, [outcomes]; empty: one layer.
+        ahead: number of layers that each outcome passes, [outcomes]; empty: none.
         n_nodes: number of nodes of a layer.
         survival: discount of the probabilities.
         indptr: offsets of the rows' entries, [rows + 1].
@@ -108,7 +108,7 @@ def fill_rows(
 def share_rows(
     indptr: Array, numbers: Array, begins: Array, data: Array, slots: Array, used: int
 ) -> int:
-    """Store the numbers of each distinct row once, and the position of each row's numbers.
+    """Store the numbers of rows, equal rows once, and the position of each row's numbers.
 
     Args:
         indptr: offsets of each row's numbers, [rows + 1].

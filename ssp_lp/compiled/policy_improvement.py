@@ -16,7 +16,7 @@ Rows = tuple[Array, Array, Array, Array, Array]
 columns and probabilities, [entries] each; and the probability of leaving for good, [pairs]."""
 
 _MOST_ROUNDS = 1_000
-"""Most rounds in one component, which only rounding could exceed; the bound shows the loss."""
+"""Most rounds in one component. Only rounding could lead to more; the bound shows the loss."""
 
 
 @compiled_loop
@@ -24,19 +24,21 @@ def improve_components(
     rows: Rows, order: Array, components: Array, most: int, cost: Array, noise: float,
     choice: Array, values: Array,
 ) -> int:  # fmt: skip
-    """Improve a policy to least values, component by component, ends first.
+    """Improve a policy until its values are least, component by component.
 
-    A component of one state takes its best pair. In a larger component Howard's policy iteration
-    starts from the given policy, which must leave the component.
+    The first components are those that lead to no other. A component of one state takes its best
+    pair. In a larger component Howard's policy iteration starts from the given policy, which must
+    leave the component.
 
     Args:
         rows: the process.
-        order: states, component by component, [states].
+        order: states, component by component, each component after those that it leads to,
+            [states].
         components: offsets of the components in the order, [components + 1].
         most: number of states of the largest component.
         cost: [pairs].
-        noise: relative gain up to which a pair is kept.
-        choice: pairs of a policy that leaves, improved in place, [states].
+        noise: relative gain up to which the present pair is kept.
+        choice: pairs of a policy by which every run ends, improved in place, [states].
         values: written, [states].
 
     Returns:
@@ -59,7 +61,7 @@ def improve_components(
         if least == np.inf:
             return c
         values[s] = least
-        if least < kept:  # the held pair is kept if equally good
+        if least < kept:  # the present pair is kept if it is equally good
             choice[s] = pick
     return -1
 
@@ -75,7 +77,7 @@ def improve_acyclic(
 
     Args:
         rows: the process.
-        order: states, ends first, [states].
+        order: states, each after the states that it leads to, [states].
         rewards: [pairs, rewards].
         cost: the weighted sum of the rewards, which is minimised, [pairs].
         keeps: True: evaluate the given pairs without improving them.
@@ -83,14 +85,14 @@ def improve_acyclic(
         choice: the given pairs, overwritten by better ones unless ``keeps``, [states].
         x: written: expected totals, [states, rewards].
         runs: written: expected steps, [states].
-        missed: written: for each reward the greatest ratio, over the states, of half a total's
-            error bound and its expected steps, [rewards].
+        missed: written: for each reward the greatest value, over the states, of half the error
+            bound of the state's total divided by its expected steps, [rewards].
 
     Returns:
         False if some state is never left.
     """
     _, indptr, indices, data, exits = rows
-    n_rewards, unit = rewards.shape[1], 0.51 * epsilon  # beyond a half for products of roundings
+    n_rewards, unit = rewards.shape[1], 0.51 * epsilon  # above 0.5, for products of roundings
     values, wrong = np.empty(runs.size), np.empty(x.shape)
     missed[:] = 0.0
     for s in order:
@@ -133,12 +135,12 @@ def _improve_component(
     Args:
         rows: the process.
         states: states of the component.
-        place: -1 everywhere; used for positions in the component, [all states].
+        place: working memory, filled with -1, [all states].
         cost: [pairs].
-        noise: relative gain up to which a pair is kept.
+        noise: relative gain up to which the present pair is kept.
         choice: pairs of the policy, improved in place, [all states].
         values: values; written for the component, [all states].
-        inner: working memory for ``gather_component``, like ``low``, ``leaving`` and ``right``.
+        inner: working memory for ``gather_component``, as are ``low``, ``leaving`` and ``right``.
 
     Returns:
         False if a policy never leaves the component from some state.
@@ -174,7 +176,10 @@ def _improve_component(
 def _best_pair(
     rows: Rows, cost: Array, values: Array, s: int, held: int
 ) -> tuple[int, float, float, float]:
-    """Return the first best pair of a state and its value, conditioned on departing.
+    """Return the first best pair of a state, and its value.
+
+    The value of a pair is conditioned on departing: without the self-loop, and divided by the
+    probability of departing.
 
     Args:
         rows: the process.
@@ -215,8 +220,8 @@ def improve_states(
         rows: the process.
         order: the states to visit, in this order.
         cost: [pairs].
-        noise: relative gain up to which a pair is kept.
-        floor: absolute gain up to which a pair is kept.
+        noise: relative gain up to which the present pair is kept.
+        floor: absolute gain up to which the present pair is kept.
         choice: pair of each state, updated, [states].
         values: updated, [states].
 
@@ -248,17 +253,18 @@ def improve_states(
 def sweep_reach(
     rows: Rows, order: Array, wanted: Array, epsilon: float, up: bool, choice: Array, values: Array
 ) -> float:
-    """Improve values of the greatest probability of leaving by an exit, state by state.
+    """Update bounds of the greatest probability of leaving by an exit, by one sweep over states.
 
-    If backups are rounded down, values only rise, and a state whose value rises takes the pair that
-    raises it. If backups are rounded up, values are at most 1, and the choice does not change.
+    Lower bounds are backups rounded down: a value never falls, and if it rises, the state takes the
+    pair that raises it. Upper bounds are backups rounded up: a value is at most 1, and the choice
+    does not change.
 
     Args:
         rows: the process.
         order: the states to visit.
-        wanted: probability of leaving by the exit, [pairs].
+        wanted: probability of leaving by the exit in one step, [pairs].
         epsilon: the machine epsilon.
-        up: whether to round up.
+        up: True for upper bounds, False for lower bounds.
         choice: pair of each state, updated, [states].
         values: updated, [states].
 
@@ -286,22 +292,78 @@ def sweep_reach(
 
 
 @compiled_loop
+def reach_in_order(
+    offsets: Array, bounds: Array, successors: Array, probabilities: Array, goals: Array,
+    epsilon: float, begin: int, end: int, decision: Array, values: Array,
+) -> bool:  # fmt: skip
+    """Compute the greatest goal probabilities, the last state first, if each step leads to a later.
+
+    Args:
+        offsets: pairs of each state, [states + 1].
+        bounds: outcomes of each pair, [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        goals: mask of the goals, [states].
+        epsilon: the machine epsilon.
+        begin: number of states at the end that are done.
+        end: number of states at the end that are to be done.
+        decision: written: a best pair of each state, -1 where there is none, [states].
+        values: written: probabilities of the goal and of missing it under these decisions, an upper
+            bound of the greatest of the former, and a lower bound of the least of the latter,
+            [states, 4].
+
+    Returns:
+        False if a step leads to the same or to an earlier state; then the results are incomplete.
+    """
+    for s in range(goals.size - 1 - begin, goals.size - 1 - end, -1):
+        hit = most = 1.0 if goals[s] else 0.0
+        miss = least = 1.0 - hit
+        decision[s] = -1
+        for pair in range(offsets[s], offsets[s + 1]):
+            reached = missed = upper = lower = 0.0
+            is_sure = is_lost = True
+            for k in range(bounds[pair], bounds[pair + 1]):
+                chance, t = probabilities[k], successors[k]
+                if chance > 0.0:
+                    if t <= s:
+                        return False
+                    is_sure &= values[t, 1] == 0.0
+                    is_lost &= values[t, 0] == 0.0
+                    reached += chance * values[t, 0]
+                    missed += chance * values[t, 1]
+                    upper += chance * values[t, 2]
+                    lower += chance * values[t, 3]
+            if is_sure or is_lost:  # by the graph, whatever the rounding of probabilities
+                reached = upper = 0.0 if is_lost else 1.0
+                missed = lower = 1.0 - reached
+            else:
+                rounding = (float(bounds[pair + 1] - bounds[pair]) + 2.0) * epsilon
+                upper, lower = upper * (1.0 + rounding), lower * (1.0 - rounding)
+            most, least = max(most, upper), min(least, lower)
+            if reached > hit if min(reached, hit) < 0.5 else missed < miss:
+                hit, miss, decision[s] = reached, missed, pair
+        values[s, 0], values[s, 1], values[s, 2], values[s, 3] = hit, miss, most, least
+    return True
+
+
+@compiled_loop
 def follow_reach(
     begins: Array, ends: Array, indices: Array, data: Array, order: Array, wanted: Array,
     epsilon: float, turned: bool, values: Array,
 ) -> None:  # fmt: skip
-    """Update probabilities of leaving along a policy, state by state, rounded down.
+    """Update lower bounds of a policy's probability of leaving by an exit, state by state.
 
     Args:
-        begins: position of the first entry of the policy's row of each state visited, [states].
-        ends: position after the last one, [states].
+        begins: position of the first entry in the row of each visited state's pair, [visited].
+        ends: position after the last entry of this row, [visited].
         indices: [entries].
         data: [entries].
-        order: the states to visit, [states].
-        wanted: probability of leaving by the exit, by the policy's pair of each, [states].
+        order: the states to visit, [visited].
+        wanted: probability of leaving by the exit in one step, by the pair of each visited state,
+            [visited].
         epsilon: the machine epsilon.
         turned: whether to visit the last state first.
-        values: of all states.
+        values: the bounds, updated, [all states].
     """
     for number in range(order.size):
         i = np.uint64(order.size - 1 - number if turned else number)

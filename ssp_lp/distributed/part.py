@@ -3,8 +3,8 @@
 A rank is a process of MPI. Its part acts as a model for everything that concerns single pairs:
 expected costs, successors, coefficients of a limit. The states of a part are the rank's own states,
 followed by the ghosts: states of other ranks to which its pairs lead, and which have no pairs here.
-The label of a state is its number in the whole model. All ranks compute facts about the whole graph
-together, and each part stores them.
+The label of a state is its number in the whole model. Facts about the whole graph, such as its
+dead-ends, are computed by all ranks together and stored in each part.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _PROBES, _STATES = 128, 64  # samples, and most states of each, to estimate numb
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Part(SSP):
-    """The states of a model that a rank knows, and the pairs of its own."""
+    """The states of a model that a rank knows, and the pairs of the rank's own states."""
 
     halo: Halo = field(kw_only=True)  # over the states of the model
     sets: Mapping[str, IntArray] = field(kw_only=True)  # named sets: numbers of their states
@@ -41,7 +41,7 @@ class Part(SSP):
 
     @cached_property
     def kept_facts(self) -> dict[str, Any]:
-        """Cache of facts about the whole graph and, unlike ``facts``, about the part's costs."""
+        """Cache of facts, by name: about the whole graph, and about the costs of the part."""
         return dict(self.facts)
 
     @property
@@ -59,14 +59,14 @@ class Part(SSP):
         return Graph(self.pair_offsets, self.outcome_offsets, self.successors, self.probabilities)
 
     def of_all_states(self, made: FloatArray) -> FloatArray:
-        """Extend values of the own states to all states of the part, [states]."""
+        """Extend values of the own states to all states of the part, ghosts included, [states]."""
         return self.halo.filled(made)
 
     def find(self, state: Any) -> int | None:
         """Return the index in the part of a state given by its number in the model.
 
-        None: the model has no such state. If the state is not in the part, its number is added to
-        ``wanted`` and 0 is returned.
+        The result is None if the model has no such state. If the state is in the model but not in
+        the part, its number is added to ``wanted`` and 0 is returned.
         """
         if not isinstance(state, (int, np.integer)) or not 0 <= state < self.halo.n_all:
             return None
@@ -83,9 +83,8 @@ class Part(SSP):
     def words(self) -> str:
         """Sizes and a checksum of the whole model; all ranks must read this together.
 
-        The text does not depend on the number of ranks. The checksum is a sum modulo 2^64 of one
-        hash for each outcome, of its number among all outcomes, its pair, successor, probability
-        and costs.
+        The text does not depend on the number of ranks. The checksum is the sum, modulo 2^64, of a
+        hash of each outcome: its number in the model, its pair, successor, probability and costs.
         """
         comm, sizes = self.halo.ranks.comm, [self.halo.n_own, self.n_pairs, self.n_outcomes]
         before, every = comm.scan(np.array(sizes)) - sizes, comm.allreduce(np.array(sizes))
@@ -100,7 +99,7 @@ class Part(SSP):
         return f"{every[0]} states, {every[1]} pairs, checksum {total:x}"
 
     def knowing(self, numbers: Iterable[int]) -> Part:
-        """Return the part with further ghosts; all ranks must call this."""
+        """Return the part with further ghosts (states of other ranks); all ranks must call this."""
         more = np.setdiff1d(np.array([*numbers], dtype=np.int64), self.halo.numbers)
         halo = Halo(self.halo.ranks, self.halo.n_own, np.append(self.halo.ghosts, more))
         offsets = np.append(self.pair_offsets, np.full(len(more), self.n_pairs))
@@ -111,7 +110,7 @@ class Part(SSP):
 
 
 def _named(halo: Halo, sets: Mapping[str, IntArray]) -> dict[str, Any]:
-    """Return the fields ``states`` and ``state_labels`` of a part with these known states."""
+    """Return the fields ``states`` and ``state_labels`` of a part with a halo's known states."""
     labels = {name: np.flatnonzero(np.isin(halo.numbers, of)) for name, of in sets.items()}
     return {"states": array("q", halo.numbers.tobytes()), "state_labels": labels}
 
@@ -134,7 +133,7 @@ def made_part(
     first, end = bounds[ranks.comm.rank :][:2].tolist()
 
     def made() -> tuple[SSP, IntArray]:
-        """Return the rank's rows as a model, in which ghosts have no rows, and the ghosts."""
+        """Return the rank's rows as a model, in which ghosts have no pairs; and the ghosts."""
         own = checked_rows(rows, first, end)
         successors, n_own = np.asarray(own.successors), end - first
         inside = (successors >= 0) & (successors < bounds[-1])
@@ -173,9 +172,10 @@ def made_part(
 
 
 def balanced_bounds(ranks: Ranks, rows: Rows, n_states: int) -> IntArray:
-    """Return bounds of the ranks' states with about equal numbers of outcomes, [ranks + 1].
+    """Divide the states into one range per rank with about equal numbers of outcomes.
 
-    The numbers are estimated from samples of states, which the ranks share.
+    Return the first state of each rank, and the end, [ranks + 1]. The numbers are estimated from a
+    sample of states, of which each rank examines a part.
 
     Raises:
         ModelError: a row of the sample is invalid.

@@ -119,7 +119,6 @@ class PartitionedModel:
         ranks, named = Ranks(), {"goal_states": goal_states, **(state_labels or {})}
 
         def checked() -> dict[str, Any]:
-            """Return the numbers of the goal states, and of each named set, ascending."""
             check_whole("n_states", n_states)
             sets = {name: np.unique(np.asarray(of)) for name, of in named.items()}
             for name, of in sets.items():
@@ -153,7 +152,7 @@ class PartitionedModel:
         """
 
         def rows(first: int, end: int) -> StateRows:
-            """Return the rows of cells, and of the ends numbered after them."""
+            """Return the rows of some cells; the states after the last cell are ends."""
             actions, outcomes = discretised_rows(world, points, first, end)
             return StateRows(actions, *outcomes)
 
@@ -197,8 +196,8 @@ class PartitionedModel:
                 secondary costs by name.
             tolerance: relative gap to reach.
             progress: a callback, see ``solve``; called on the first rank.
-            checkpoint: a folder in which every policy is saved when it is found, by each rank its
-                part; a later run of the same problem, on any number of ranks, starts from them.
+            checkpoint: a folder in which each rank saves its part of every policy that is found; a
+                later run of the same problem, on any number of ranks, starts from these policies.
 
         Raises:
             ModelError: the ranks state different problems, or the problem needs the whole graph.
@@ -228,7 +227,6 @@ class PartitionedModel:
         problem = self._stated(criterion, asked)
 
         def checked() -> None:
-            """Check that the policy belongs to this model."""
             if not isinstance(policy, PartitionedPolicy) or policy.part is not self.part:
                 wanted = "be a policy of this model: answer.policy, or PartitionedPolicy.load(...)"
                 raise wrong_argument("policy", wanted, policy)
@@ -265,12 +263,12 @@ class PartitionedModel:
         return stated
 
     def _compiled(self, problem: Formulation, **more: Any) -> CompiledPartitioned:
-        """Compile a problem on this rank's part, with the first rank's bounds of rows."""
+        """Compile a problem on this rank's part, with the same bounds of rows on every rank."""
 
         def told(row: Any) -> Any:
-            """Return a row of the program with the first rank's numbers.
+            """Return a row with the first rank's numbers, the same on all ranks.
 
-            Each rank has computed them, and sums may differ by rounding.
+            Sums that each rank computes itself may differ by rounding.
             """
             if row is None:
                 return None
@@ -329,7 +327,6 @@ class _Checkpoint:
         self._part, self._folder, self._question = part, Path(folder) if folder else None, question
 
         def found(folder: Path) -> list[Path]:
-            """Return the folders of complete policies."""
             if not folder.parent.is_dir() or folder.is_file():
                 raise ModelError(f"checkpoint {folder} must be a folder, and its parent must exist")
             return sorted(one.parent for one in folder.glob("*/policy.npz"))
@@ -337,7 +334,7 @@ class _Checkpoint:
         self._earlier = part.halo.ranks.agreed(lambda: found(Path(folder)) if folder else [])
 
     def begun(self, process: PartitionedProcess) -> DualGuess | None:
-        """Evaluate the last policies of an earlier run, and return its price as a first guess.
+        """Evaluate the last policies of an earlier run; return its last price as a first guess.
 
         Raises:
             ModelError: the policies answer another problem or model, or a file is damaged.
@@ -352,7 +349,7 @@ class _Checkpoint:
         return DualGuess(prices[1], _SURE) if prices[0] == 1.0 and prices[1] > 0.0 else None
 
     def keep(self, positions: IntArray, weights: FloatArray) -> None:
-        """Save a rank's decisions of a column, with the prices at which the column was found."""
+        """Save this rank's decisions of a column, with the prices at which the column was found."""
         if self._folder is not None:
             place = self._folder / f"{len(self._earlier):05}"
             told = {"question": self._question, "prices": weights.tolist()}
@@ -404,7 +401,7 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
 
 
 def _words(problem: Formulation) -> dict[str, Any]:
-    """Return the parts of a problem by name, as texts and numbers that ranks can compare."""
+    """Return a problem as texts and numbers, by name, so that ranks can compare their problems."""
     asked = repr((problem.semantics, problem.quantity, problem.start))
     return {
         "the criterion": type(problem).__name__,

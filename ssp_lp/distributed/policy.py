@@ -74,8 +74,8 @@ class PartitionedPolicy(ReadOnlyCopies):
         """Write the policy, one file for each rank; all ranks must call this.
 
         Args:
-            folder: a folder that all ranks can write to, created if missing. A policy in it is
-                replaced.
+            folder: a folder that all ranks can write to, created if missing. An earlier policy in
+                this folder is replaced.
 
         Raises:
             ModelError: the policy has invalid decisions.
@@ -88,7 +88,6 @@ class PartitionedPolicy(ReadOnlyCopies):
         bounds = np.array([*ranks.comm.allgather(halo.first), halo.n_all])
 
         def opened() -> None:
-            """Create the folder, and delete the file that describes an earlier policy's parts."""
             if is_first:
                 whole.parent.mkdir(parents=True, exist_ok=True)
                 whole.unlink(missing_ok=True)
@@ -104,7 +103,7 @@ class PartitionedPolicy(ReadOnlyCopies):
         """Read a policy; each rank reads the decisions of its own states.
 
         Args:
-            model: the ``PartitionedModel`` for which it was saved, by any number of ranks.
+            model: the ``PartitionedModel`` for which the policy was saved, by any number of ranks.
             folder: the folder of :meth:`save`.
 
         Raises:
@@ -115,7 +114,6 @@ class PartitionedPolicy(ReadOnlyCopies):
         folder, words, halo = Path(folder), part.words, part.halo
 
         def read() -> PartitionedPolicy:
-            """Read this rank's decisions from all files that have decisions of its states."""
             with opened_archive(folder / _WHOLE, _KIND) as (header, arrays):
                 if header["model"] != words:
                     raise ModelError(f"the policy is for another model, of {header['model']}")

@@ -1,8 +1,9 @@
 """The process of case M on rows that are distributed over ranks, and its pricing problem.
 
 Each rank has the pairs of its own nodes, and knows the values of ghosts: nodes of other ranks to
-which these pairs lead. It improves policies in place by sweeps over its own nodes. Between sweeps
-the ranks exchange the ghosts' values. PETSc's Krylov methods solve the equations of a policy.
+which these pairs lead. A rank improves a policy in place by sweeps over its own nodes. Between
+sweeps the ranks exchange the ghosts' values. PETSc's Krylov methods solve the equations of a
+policy.
 
 As on a single process, columns are evaluated with a bound of their error, and a lower bound is
 checked by one backup of all rows, rounded down.
@@ -99,14 +100,14 @@ class _Equations:
         self.products, self._entries = 0, self.halo.ranks.total(rows.nnz)
 
     def leading(self, marked: BoolArray) -> BoolArray:
-        """Return the own nodes from which the policy may reach marked nodes, [own nodes]."""
+        """Return a mask of the rank's nodes from which the policy may reach marked nodes."""
         if not self.halo.ranks.any(~marked):
             return marked
         return self.halo.reaching(self._graph, marked)[: self.halo.n_own]
 
     @cached_property
     def _graph(self) -> Graph:
-        """The policy's graph on the known nodes; ghosts have no pairs."""
+        """The graph of the policy on own nodes and ghosts; ghosts have no pairs."""
         rows, n = self.moves.transitions, self.halo.n_own
         offsets = np.append(np.arange(n + 1), np.full(self.halo.size - n, n))
         return Graph(offsets, rows.indptr.astype(np.int64), rows.indices, rows.data)
@@ -193,7 +194,7 @@ class _Equations:
         return kept[:2]
 
     def runs(self, guess: FloatArray) -> FloatArray:
-        """Return run lengths t, checked: 2 t is at least the expected number of steps, [own nodes].
+        """Return checked run lengths t, [own nodes]: 2 t is at least the expected number of steps.
 
         Raises:
             SolverError: some nodes are never left, or no solver reaches the accuracy.
@@ -243,7 +244,7 @@ class PartitionedProcess(PricingProblem):
 
     @cached_property
     def _leaving(self) -> IntArray:
-        """A policy that leaves from every node, by the goal if possible, [own nodes]."""
+        """A policy by which every run ends, at the goal if possible, [own nodes]."""
         graph, goal = replace(self.dynamics).graph, self.labelled.process.goal > 0.0
         nearer = self.halo.approaching(graph, goal)
         if self.ranks.any(nearer < 0):
@@ -305,7 +306,7 @@ class PartitionedProcess(PricingProblem):
             cost: [own pairs].
             values: values of the policy, [own nodes].
             choice: the policy, [own nodes].
-            accuracy: residual of the values, relative to the greatest.
+            accuracy: residual of the values, relative to the greatest value.
         """
         offsets = self.dynamics.pair_offsets[: self.halo.n_own + 1]
         known = self.halo.filled(values)
@@ -318,7 +319,7 @@ class PartitionedProcess(PricingProblem):
         return np.where(better, backup.choice, choice).astype(np.int32)
 
     def _weights(self, price: float | FloatArray) -> FloatArray:
-        """Return the weights of all rewards, given a price of failure or the first weights."""
+        """Return all rewards' weights, given a price of failure or weights of the first rewards."""
         weights = pricing_weights(price)
         return np.append(weights, np.zeros(self.n_rewards - len(weights)))
 
@@ -343,7 +344,7 @@ class PartitionedProcess(PricingProblem):
         return full[:n]
 
     def _leaving_equations(self, choice: IntArray, values: FloatArray) -> _Equations:
-        """Set up the equations of a policy; nodes that never leave follow ``_leaving`` instead."""
+        """Set up the equations of a policy; ``_leaving`` replaces it where runs would never end."""
         equations = _Equations(self, choice, values)
         closed = ~equations.leading(equations.moves.exits > 0.0)
         if not self.ranks.any(closed):
@@ -351,11 +352,11 @@ class PartitionedProcess(PricingProblem):
         return _Equations(self, np.where(closed, self._leaving, choice).astype(np.int32), values)
 
     def _giving_up(self, equations: _Equations) -> IntArray:
-        """Return the policy, changed to give up in nodes where it has failed, [own nodes].
+        """Return the policy of some equations, changed to give up in nodes where it has failed.
 
         A policy has failed in a node if giving up is allowed there and its own decisions no longer
         lead to the goal. If ends other than the goal count, or if the criterion forbids giving up,
-        it has failed only in nodes where it stays for ever and collects no reward.
+        it has failed only in nodes where it stays for ever without cost or other rewards.
         """
         choice = equations.choice
         leads = self.labelled.process.goal[choice] > 0.0
@@ -365,7 +366,13 @@ class PartitionedProcess(PricingProblem):
         return np.where(lost, self._exits, choice).astype(np.int32)
 
     def _staying(self, choice: IntArray) -> IntArray:
-        """Replace giving up by a pair that stays, where a run may then go on, [own nodes]."""
+        """Return the policy without giving up in free components from which it can go on.
+
+        There giving up is replaced by a pair that moves within the component.
+
+        Args:
+            choice: a pair of each own node, [own nodes].
+        """
         quits = (choice == self._exits) & (self.stays >= 0)
         if not self.ranks.any(quits):
             return choice
@@ -375,7 +382,7 @@ class PartitionedProcess(PricingProblem):
 
     @cached_property
     def _exits(self) -> IntArray:
-        """Each own node's pair for giving up; -1 if giving up is not allowed, [own nodes]."""
+        """Pair for giving up of each own node; -1 if giving up is not allowed, [own nodes]."""
         quotient, n = self.labelled.quotient, self.halo.n_own
         exits, gives_up = np.full(quotient.n_nodes, -1), np.flatnonzero(quotient.gives_up)
         exits[quotient.pair_node[gives_up]] = gives_up
@@ -427,7 +434,7 @@ class PartitionedProcess(PricingProblem):
         return self.prove(weights, self.minimise(weights, warm))
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
-        """Reduce values to a checked sub-solution, and return the lower bound that it proves.
+        """Reduce values until one backup confirms them as lower bounds, and return the proof.
 
         Args:
             price: price of failure, or weights of the rewards.
@@ -447,13 +454,11 @@ class PartitionedProcess(PricingProblem):
         return Proof(float(weights[1]), float(weights[1]), bound, values)
 
     def _lowered(self, weights: FloatArray, values: FloatArray) -> FloatArray:
-        """Reduce values to a sub-solution that a backup of all rows confirms, [own nodes].
+        """Reduce values until none exceeds its backup, as one backup of all rows confirms.
 
-        The values move towards a constant sub-solution by a share s, which leaves a slack of s * g
-        at a step of cost g. The least s that suffices is used. At steps of cost 0 there is no
-        slack, so that values are lowered to those of the successors. All values are lowered by a
-        little more: otherwise the sweeps in free components would never end, since each would
-        remove only a part of the solver's errors.
+        The values move towards a constant lower bound by the least share s that suffices, which
+        leaves a slack of s * g at a step of cost g. At steps of cost 0 values are lowered to those
+        of the successors, and by a little more so that the sweeps end.
         """
         dynamics, greatest, n = self.dynamics, self.ranks.greatest, self.halo.n_own
         cost = weighted(self.rewards, weights)
@@ -486,7 +491,7 @@ class PartitionedProcess(PricingProblem):
         return np.asarray(self.labelled.quotient.node_of[: part.halo.n_own] >= 0)
 
     def _positions(self, column: Column) -> IntArray:
-        """Return a column's decisions: positions among the actions, or codes, [own states]."""
+        """Return a column's decisions, [own states]: positions among the actions, or codes."""
         quotient, choice, live = self.labelled.quotient, np.asarray(column.choice), self._live
         positions = np.full(live.size, UNDECIDED, dtype=np.int32)
         stays = (choice == self._exits) & (self.stays >= 0)
@@ -496,7 +501,7 @@ class PartitionedProcess(PricingProblem):
         return positions
 
     def choice_of(self, positions: IntArray) -> IntArray:
-        """Return the pairs that decisions, [own states], take in the own nodes, [own nodes].
+        """Translate decisions, [own states], to pairs of the process, [own nodes].
 
         Raises:
             ModelError: a state has no decision, or one that is not allowed.
@@ -511,7 +516,7 @@ class PartitionedProcess(PricingProblem):
         return choice.astype(np.int32)
 
     def evaluated(self, positions: IntArray) -> Column:
-        """Evaluate decisions, [own states], as a column that gives up where they have failed."""
+        """Evaluate decisions, [own states], as a column that gives up after it has failed."""
         choice = self.ranks.agreed(lambda: self.choice_of(positions))
         nothing = np.zeros(self.halo.n_own)
         return self.measured(self._giving_up(_Equations(self, choice, nothing)))
@@ -568,7 +573,7 @@ def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedP
 
 @dataclass(frozen=True, eq=False)
 class CompiledPartitioned(CompiledExplicit):
-    """Case M compiled on parts of a model, with its process in ``priced``."""
+    """A problem of case M, compiled on parts of a model; its process is ``priced``."""
 
     is_whole = False  # other problems on the model need another process
 
@@ -596,12 +601,12 @@ class CompiledPartitioned(CompiledExplicit):
         return LeastFailure(pricing.policy(column), column, 0.0, proved)
 
     def failure_at_least(self, discount: float | None) -> float:
-        """Return the least failure probability of all policies, for an error's message."""
+        """Return the least failure probability of all policies, for the message of an error."""
         stated = CompiledExplicit(replace(self.facts, discount=discount), self.semantics)
         return compiled_on_ranks(stated).least_failure().column.failure
 
     def settled(self, *known: Column) -> CompiledPartitioned:
-        """Return the problem; a budget up to the least failure is replaced by the least failure.
+        """Return the problem; a budget just below the least failure is replaced by the latter.
 
         Raises:
             InfeasibleError: the budget is below the least failure by more than rounding.
@@ -615,7 +620,7 @@ class CompiledPartitioned(CompiledExplicit):
 
 
 def compiled_on_ranks(stated: CompiledExplicit, **more: Any) -> CompiledPartitioned:
-    """Return a compiled problem on a part, with its process; all ranks must call this.
+    """Return a compiled problem with its process on parts of a model; all ranks must call this.
 
     Args:
         stated: the problem.

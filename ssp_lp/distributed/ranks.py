@@ -74,7 +74,7 @@ class Ranks:
         """Check that every rank has the same values.
 
         Args:
-            what: name of what is compared, for the message.
+            what: name of the compared values, for the message.
             mine: this rank's values by name, which can be sent and compared.
 
         Raises:
@@ -88,10 +88,11 @@ class Ranks:
                                      f"on rank 0, {in_short(two)} on rank {rank}")  # fmt: skip
 
     def together(self, make: Callable[[], _Made]) -> _Made:
-        """Run a function on all ranks jointly; an error on one rank alone ends all of them.
+        """Run a function on all ranks jointly; an unexpected error on one rank ends all of them.
 
-        All ranks raise errors of the library at the same point. After any other error, or an
-        interrupt, the other ranks would wait for messages for ever.
+        Errors of the library are raised by all ranks at the same point. Any other error, or an
+        interrupt, may occur on one rank alone. The other ranks would then wait for its messages for
+        ever.
         """
         try:
             return make()
@@ -158,7 +159,7 @@ class Halo:
 
     @cached_property
     def numbers(self) -> IntArray:
-        """Numbers of the known states, [known states]."""
+        """Index in the whole model of each known state, [known states]."""
         return np.append(np.arange(self.first, self.end), self.ghosts)
 
     def settled(self, sweep: Callable[[BoolArray], BoolArray], mask: BoolArray) -> BoolArray:
@@ -179,7 +180,9 @@ class Halo:
         return self.settled(lambda mask: reaching_states(graph, mask), self.filled(ends))
 
     def staying(self, graph: Graph, usable: BoolArray, outside: BoolArray) -> BoolArray:
-        """Return the greatest set in which each state has no pairs or a pair that stays inside.
+        """Return the greatest set of states in which a policy can stay for ever, [known states].
+
+        Each of its states has no pairs, or a usable pair that leads only to states of the set.
 
         Args:
             graph: the known states, and the pairs of the own states.
@@ -189,7 +192,6 @@ class Halo:
         acting = np.diff(graph.pair_offsets) > 0
 
         def sweep(closed: BoolArray) -> BoolArray:
-            """Mark states whose usable pairs may all lead to marked states."""
             pairs = usable & ~closed[graph.pair_state]
             counts = np.bincount(graph.pair_state[pairs], minlength=graph.n_states)
             closed = closed | (acting & (counts == 0))
@@ -199,16 +201,15 @@ class Halo:
         return ~self.settled(sweep, self.filled(outside))
 
     def approaching(self, graph: Graph, leaving: BoolArray) -> IntArray:
-        """Return a pair of each own state that leads nearer to a leaving pair; -1 if none does.
+        """Return a pair of each own state that may lead nearer to a leaving pair; -1: no such pair.
 
         Args:
             graph: the known states, and the pairs of the own states.
-            leaving: whether a pair leaves, [pairs].
+            leaving: whether a pair leaves the process, [pairs].
         """
         choice = np.full(graph.n_states, -1)
 
         def sweep(reached: BoolArray) -> BoolArray:
-            """Choose ``leaving`` pairs, and pairs that lead to states with a chosen pair."""
             nearer = nearer_pairs(graph, leaving | pairs_into(graph, reached))
             choice[:] = np.where(choice < 0, nearer, choice)
             return reached | (choice >= 0)

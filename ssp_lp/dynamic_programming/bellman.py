@@ -39,13 +39,12 @@ _NOBODY = np.zeros(0, dtype=np.uint32)
 
 @dataclass(frozen=True)
 class Work:
-    """Number of passes over a process, which take most of the time of a pricing problem."""
+    """Work of a computation: its number of passes over a process, which take most of the time."""
 
     backups: int = 0  # passes over all pairs
     products: int = 0  # passes over one pair per state
 
     def __add__(self, other: Work) -> Work:
-        """Return the sums of both numbers."""
         return Work(self.backups + other.backups, self.products + other.products)
 
 
@@ -94,7 +93,7 @@ def best_pairs(
         transitions: [pairs, columns].
         pair_cost: [pairs].
         values: [columns].
-        held: a pair of each state whose value is returned as well, [states].
+        held: one pair of each state, whose sum is returned as well, [states].
     """
     check_time()
     cost = pair_cost if isinstance(pair_cost, PairCost) else PairCost(pair_cost)
@@ -215,7 +214,7 @@ def chosen_rows(transitions: SparseRows, choice: IntArray) -> sp.csr_array:
 
 @dataclass(frozen=True, eq=False)
 class SharedRows:
-    """A sparse matrix in which several rows may share their numbers."""
+    """A sparse matrix in which several rows may share one stored list of values."""
 
     indptr: IntArray  # [rows + 1] position of each row's first column
     begins: IntArray  # [rows] position of its first number
@@ -229,7 +228,7 @@ class SharedRows:
         return len(self.indices)
 
     def written_out(self) -> sp.csr_array:
-        """Return the matrix in scipy's form, with a number for each entry."""
+        """Return the matrix in scipy's form, with the value of each entry stored separately."""
         data = self.data[concatenated_ranges(self.begins, np.diff(self.indptr))]
         return csr_of(data, self.indices, self.indptr, self.shape)
 
@@ -242,12 +241,15 @@ SparseRows = sp.csr_array | SharedRows
 
 
 def written_out(rows: SparseRows) -> sp.csr_array:
-    """Return a CSR matrix of scipy; numbers that rows share are copied to each row."""
+    """Return a CSR matrix of scipy; values that rows share are copied to each row."""
     return rows.written_out() if isinstance(rows, SharedRows) else rows
 
 
 def row_parts(rows: SparseRows) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """Return a matrix's arrays: ``indptr``, first number of each row, columns and numbers."""
+    """Return a matrix's arrays: ``indptr``, position of each row's first number, columns, numbers.
+
+    These are the arrays of :class:`SharedRows`, with unsigned integers for compiled loops.
+    """
     indptr = unsigned(rows.indptr)
     begins = unsigned(rows.begins) if isinstance(rows, SharedRows) else indptr[:-1]
     return indptr, begins, unsigned(rows.indices), rows.data

@@ -343,7 +343,6 @@ class Iteration:
             return step
 
         def missed(y: FloatArray) -> FloatArray:
-            """Return ``y - own @ y``."""
             self.products += 1
             return np.asarray(y - self.own @ y)
 
@@ -575,7 +574,7 @@ def factorised(system: sp.csc_array, *, in_order: bool = False) -> sp.linalg.Sup
 
 
 def reduction_solver(inner: FloatArray, leaving: FloatArray) -> Solver:
-    """Build a direct solver by state reduction, accurate relative to every entry.
+    """Build a direct solver by state reduction, with a small relative error in every entry.
 
     A state is eliminated by redirecting its inflow to its successors (Grassmann, Taksar and Heyman
     1985). The probability of departing is summed, never computed as 1 - p. States are eliminated in

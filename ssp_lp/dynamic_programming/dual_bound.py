@@ -55,7 +55,7 @@ _ONE = np.ones(1)
 
 @dataclass(frozen=True, eq=False)
 class DualBound:
-    """Values that bound the optimum from below, as sums ``values + low``."""
+    """Lower bounds of the optimal values, each the sum of two floats, ``values + low``."""
 
     values: FloatArray  # [states]
     low: FloatArray  # [states] to be added to the values
@@ -103,11 +103,10 @@ def dual_bound(
         pair_cost: [pairs].
         values: near-optimal values, or any others (the bound is then worse), [states].
         floor: a constant that is known to be a sub-solution: 0 if no pair cost is negative.
-        choice: a policy that leaves and has about these values, [states].
+        choice: a policy that ends every run and has about these values, [states].
         start: positive in states where the bound must be near the values, [states]; None: all.
-        least_loss: distance from the values that is small enough, if the values are probabilities,
-            which are not recomputed if there are many states. None: a share of the values' size is
-            small enough.
+        least_loss: lowering of a value that is small enough, if the values are probabilities; these
+            are not recomputed if there are many states. None: a share of the greatest value.
 
     Returns:
         Values that are checked lower bounds of the optimum.
@@ -216,12 +215,14 @@ def lowered_along_longest_run(
 ) -> FloatArray | None:
     """Reduce values v to a sub-solution along the worst near-optimal policy.
 
-    The cost of a step is taken as its pair's advantage, minus a few times the greatest lack. If w
-    are the least expected totals of these costs, ``v + w`` is a sub-solution. In a process without
-    cycles each value is lowered to its backup, ends first, which is the least possible lowering.
+    In a process without cycles each value is lowered to its backup, ends first, which is the least
+    possible lowering. With cycles, let each step cost the advantage of its pair, less a few times
+    the greatest lack, and let w be the least expected totals of these costs: ``v + w`` is a
+    sub-solution.
 
     Returns:
-        The sub-solution; None if values had to be lowered by more than rounding.
+        The sub-solution. None if values had to be lowered by more than rounding, or if a component
+        is too large.
     """
     if not dynamics.is_solved_backwards:
         return None
@@ -305,16 +306,16 @@ def raised(
     asked: IntArray,
     enough: float,
 ) -> tuple[FloatArray, float]:
-    """Raise a sub-solution by backups rounded down; it remains a sub-solution.
+    """Raise a sub-solution, made by lowering values, by backups that are rounded down.
 
-    The loss is the distance from the values before they were lowered. Sweeps end if the loss at all
-    states ``asked`` is small enough, or if it falls too slowly.
+    The result is a sub-solution, too. The loss of a state is its original value minus its raised
+    value. Sweeps end if the loss at all states ``asked`` is small enough, or falls too slowly.
 
     Args:
         dynamics: the process.
         pair_cost: [pairs].
         lowered: a checked sub-solution, [states].
-        values: the values before lowering, [states].
+        values: the original values, before they were lowered, [states].
         asked: states at which the loss must be small.
         enough: loss that is small enough.
 
@@ -344,9 +345,9 @@ def _longest_run(
 ) -> FloatArray | None:
     """Sum the lacks along the worst near-optimal policy, from each state, [states].
 
-    Lowering the values by this sum absorbs the violation times the longest expected run
-    (mathematics, section 5). States from which no lack is reached do not change. A lack above 0
-    counts as at least ``least``, [states]. The result is None if the policy never ends.
+    Values lowered by a small multiple of this sum are a sub-solution (mathematics, section 5).
+    States from which no lack is reached do not change. A lack above 0 counts as at least ``least``,
+    [states]. The result is None if the policy never ends.
     """
     pair_offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     worst_lack, met = float(lack.max()), lack > 0

@@ -66,8 +66,8 @@ class Dynamics:
     """Pairs of each state, their transitions, and their probabilities of leaving for good.
 
     The exits (probabilities of leaving) are stored, since a tiny exit that is computed as ``1 -
-    sum`` would be lost to rounding. Row and exit are exact data, even if their sum differs from 1
-    by rounding.
+    sum`` would be lost to rounding. Transitions and exits are taken as exact, even if they do not
+    sum to 1 because of rounding.
     """
 
     pair_offsets: IntArray  # [states + 1]
@@ -126,7 +126,10 @@ class Dynamics:
 
     @property
     def is_compiled_backwards(self) -> bool:
-        """Whether a backward pass runs compiled; passes that will be repeated count together."""
+        """Whether a backward pass is long enough to run compiled.
+
+        If the process is reused, the passes of many layers count together.
+        """
         passes = _LAYERS if self.is_reused else 1
         return accelerated(passes * len(self.transitions.indices), *_BACKWARDS)
 
@@ -162,7 +165,7 @@ class Dynamics:
             pair_cost: [pairs].
             choice: [states].
             values: values that are at least the policy's, [states].
-            floor: gain of a step that counts as none.
+            floor: greatest gain of a step that counts as 0.
             most_sweeps: number of sweeps at most.
             is_sorted_anew: whether to sort the states by their values before every second sweep.
             states: states to sweep; None: all.
@@ -190,9 +193,10 @@ class Dynamics:
         return most_sweeps
 
     def chain(self, choice: IntArray) -> System:
-        """Return the equations of a policy, a pair of each state, [states].
+        """Return the equations of a policy; those of the last few policies are cached.
 
-        The equations of the last few policies are kept, with their factors.
+        Args:
+            choice: the policy's pair in each state, [states].
         """
         kept, is_kept = self._chains, self.n_states <= _KEPT_STATES
         key = choice.astype(np.int32, copy=False).tobytes() if is_kept else b""
@@ -294,18 +298,18 @@ def leaving_choice(
 def leaving_chain(
     dynamics: Dynamics, choice: IntArray, before: IntArray | None
 ) -> tuple[System, IntArray]:
-    """Return a policy's chain; states that it never leaves take their earlier pair instead.
+    """Return the chain of a policy that leaves the process from every state, and this policy.
+
+    If the given policy never leaves the process from some states, these states take the pairs of
+    the policy before instead.
 
     Args:
         dynamics: the process.
         choice: the policy, [states].
-        before: the policy before an improvement; None: there is none.
-
-    Returns:
-        The chain and its policy.
+        before: the policy before the last improvement, or None.
 
     Raises:
-        SolverError: the states never leave by their earlier pairs either.
+        SolverError: the pairs of the policy before do not leave the process either.
     """
     system = dynamics.chain(choice)
     while (closed := system.closed).size:

@@ -169,7 +169,7 @@ class System:
         return x.reshape(rewards.shape)
 
     def _reduced(self, c: int) -> tuple[sp.csr_array, Solver]:
-        """Return a component's rows and its solver by state reduction; small ones are kept."""
+        """Return a component's rows and its solver by state reduction; cached if it is small."""
         if c not in self._reductions:
             states = self.components.members(c)
             rows, beyond = sp.csr_array(self.matrix[states]), np.ones(self.size)
@@ -276,7 +276,6 @@ class System:
 
     @cached_property
     def _kept(self) -> dict[tuple[int, int], Solver]:
-        """Cache of solvers, by range of components."""
         return {}
 
     def _solve_compiled(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
@@ -338,7 +337,8 @@ def strong_components(
         indptr: offsets of each state's entries, [states + 1].
         indices: successors, [entries].
         data: probabilities; entries of 0 are no edges, [entries].
-        by_height: whether compiled loops sort them by the most steps to an end, for ordered passes.
+        by_height: whether compiled loops sort components by their greatest number of steps to an
+            end, for ordered passes.
     """
     n = len(indptr) - 1
     if accelerated(len(indices), *COMPONENTS, *(BY_HEIGHT if by_height else ())):

@@ -51,7 +51,7 @@ _Solve = Callable[[FloatArray, FloatArray | None, float], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Totals:
-    """Expected totals, as sums ``values + low``, with a bound of their error."""
+    """Expected totals, each the sum of two floats, ``values + low``, with a bound of the error."""
 
     values: FloatArray  # [states, rewards]
     low: FloatArray  # [states, rewards] rounding errors of the values
@@ -109,12 +109,10 @@ def _evaluated_policy(
     verified = evaluate_precisely(
         unsigned(rows.indptr), unsigned(rows.indices), rows.data, dynamics.exits, unsigned(choice),
         unsigned(strong.order), strong.offsets, max(strong.largest, 1),
-        rewards, accuracy, _CORRECTIONS, MACHINE_EPSILON, x, low, runs, missed,
+        rewards, accuracy, max(accuracy, EVALUATED), _CORRECTIONS, MACHINE_EPSILON,
+        x, low, runs, missed,
     )  # fmt: skip
-    if not verified:
-        return None
-    totals = Totals(x, low, runs, missed)
-    return totals if totals.are_within(max(accuracy, EVALUATED)) else None
+    return Totals(x, low, runs, missed) if verified else None
 
 
 @with_twin

@@ -4,7 +4,7 @@ The probabilities of the two exits are each summed from their own data, so that 
 relative to their size. A pair attains the extreme if a policy that takes it whenever possible loses
 no more than rounding. (In a loop that is rarely left, small losses of single steps add up.) If a
 component is too large for state reduction, a coarser rule holds: a pair may lose a hundred times
-``FAILURE_FLOOR`` in a step, and ``LEAST_BUDGET`` over the longest run of the quickest policy.
+``FAILURE_FLOOR`` in a step, and ``LEAST_BUDGET`` in total over the expected steps of a run.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _ALIKE = 100.0  # loss of a step, in floors, that is allowed: far above the erro
 
 @dataclass(frozen=True, eq=False)
 class ExtremeReach:
-    """The extreme probability of leaving by the exit ``hit``, and a policy that attains it."""
+    """The greatest or least probability of leaving by the exit ``hit``, and its policy."""
 
     dynamics: Dynamics
     both: FloatArray  # [pairs, 2] probability of leaving by the wanted exit, and by the other
@@ -80,7 +80,7 @@ def extreme_reach(
 ) -> ExtremeReach:
     """Compute the greatest or least probability of leaving by the exit ``hit``, from every state.
 
-    Every policy must leave the process: it has no end components, or they are collapsed.
+    The process must not have end components, so that every policy leaves it.
 
     Args:
         dynamics: the process.
@@ -89,7 +89,7 @@ def extreme_reach(
         greatest: whether to maximise; else the probability is minimised.
         start: positive in the states in which the bound must be tight, [states]; None: all.
         last_digits: whether all pairs that attain the extreme are needed. If not, sweeps may
-            enclose the greatest probability between two bounds. If the time then ends, the best
+            enclose the greatest probability between two bounds, and if the time ends, the best
             policy found so far is returned.
 
     Raises:
@@ -129,7 +129,7 @@ def _settled_reach(
     start: FloatArray | None,
     last_digits: bool,
 ) -> ExtremeReach:
-    """Compute the extreme probability by policy iteration, with a checked bound."""
+    """Compute the greatest or least probability by policy iteration, with a checked bound."""
     wanted, other = (np.ascontiguousarray(column) for column in both.T)
     run = partial(
         iterate_policy, dynamics, both, _OTHER, floor=floor * (_SOUGHT if last_digits else 1.0)
@@ -243,7 +243,7 @@ def _sweep(
     *,
     up: bool = False,
 ) -> float:
-    """Improve values over all pairs, then follow the chosen pairs; return the greatest rise.
+    """Sweep over all pairs, then several times over the chosen pairs; return the greatest rise.
 
     Args:
         dynamics: the process.
@@ -252,7 +252,7 @@ def _sweep(
         is_compiled: whether to run compiled; otherwise numpy sweeps all states at once.
         choice: pairs by which values rise, changed in place, [states].
         values: changed in place, [states].
-        up: whether to round up and leave the choice; otherwise round down.
+        up: whether to round up and leave the choice unchanged; otherwise round down.
     """
     order, rows, rise = next(directions), dynamics.transitions, 0.0
     if not is_compiled:
@@ -286,7 +286,7 @@ def _sweep(
 
 
 def attaining_pairs(found: ExtremeReach) -> BoolArray:
-    """Return a mask of the pairs that attain the extreme, however often they are taken, [pairs]."""
+    """Return a mask of pairs that attain the extreme probability, however often taken, [pairs]."""
     dynamics, choice, both = found.dynamics, found.choice, found.both
     totals = found.totals or evaluate_policy(dynamics, choice, both, PRECISE)
     high, lost = totals.values.T
@@ -333,7 +333,13 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
 def _with_pairs(
     dynamics: Dynamics, tied: BoolArray, choice: IntArray
 ) -> tuple[IntArray, Dynamics, IntArray]:
-    """Return the tied pairs, the dynamics with only these, and the policy's pairs in it."""
+    """Return the tied pairs, the dynamics restricted to these, and the policy's pairs among these.
+
+    Args:
+        dynamics: the process.
+        tied: mask of the pairs to keep, [pairs].
+        choice: a policy of such pairs, [states].
+    """
     kept = tied.nonzero()[0]
     place = np.full(len(tied), -1, dtype=np.int32)
     place[kept] = np.arange(kept.size)

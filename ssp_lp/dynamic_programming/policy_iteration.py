@@ -1,4 +1,4 @@
-"""Policy iteration from a policy that leaves, along the structure of a process.
+"""Policy iteration from a policy that ends every run, along the components of a process.
 
 A process of small components is solved in one pass, ends first. A process with a large component is
 solved by Howard's rounds of evaluation and improvement, in which evaluations become exact as the
@@ -216,7 +216,7 @@ def howard_rounds(
 
 
 def greatest_gain(backup: Backup) -> float:
-    """Return the greatest gain, over the states, of the best pair over the present one."""
+    """Return the greatest gain of a state by the best pair in place of the present one."""
     return float((backup.here - backup.minima).max(initial=0.0))
 
 
@@ -245,9 +245,10 @@ class _Evaluation:
         self._above: FloatArray | None = None  # values of the last policy, if exact
 
     def leaving(self, choice: IntArray, before: IntArray | None) -> tuple[System, IntArray]:
-        """Return an improved policy's chain, and the policy, changed if it never leaves.
+        """Return the chain of an improved policy, and this policy.
 
-        If states are few, this is not checked, since the evaluation fails for such a policy.
+        The policy is changed in states from which it would never end a run. If states are few, it
+        is not checked, since the evaluation of such a policy fails.
         """
         if self.dynamics.n_states <= DIRECT_STATES:
             return self.dynamics.chain(choice), choice
@@ -279,7 +280,8 @@ class _Evaluation:
     def judge(self, backup: Backup) -> BoolArray | None:
         """Return a mask of the states that improve by more than the error of the values.
 
-        None: the values are too inaccurate; evaluate the policy again.
+        The result is None if the values are too inaccurate, so that the policy must be evaluated
+        again.
         """
         scale = max(float(np.abs(self.values).max(initial=0.0)), 1e-300)
         grown, self._scale = scale > _RISEN * self._scale, scale
@@ -310,10 +312,10 @@ def improve_backwards(
     Args:
         dynamics: the process.
         pair_cost: [pairs].
-        choice: a policy that leaves, [states].
+        choice: a policy that ends every run, [states].
 
     Raises:
-        SolverError: the policy does not leave.
+        SolverError: the policy does not end every run.
     """
     values, choice = np.zeros(dynamics.n_states), choice.copy()
     if dynamics.is_compiled_backwards:
@@ -350,7 +352,7 @@ def improve_precisely(
         dynamics: the process.
         rewards: [pairs, rewards].
         weights: [rewards].
-        choice: a policy that leaves, [states].
+        choice: a policy that ends every run, [states].
         work: work done before.
         floor: sum of all gains that counts as 0, in units of the values.
 
@@ -387,7 +389,7 @@ def improve_precisely(
 def switched(
     dynamics: Dynamics, choices: Sequence[IntArray], values: Sequence[FloatArray]
 ) -> tuple[IntArray, IntArray]:
-    """Combine several policies that leave into one that is at least as good as each of them.
+    """Combine policies that end every run into one that is at least as good as each of them.
 
     Args:
         dynamics: the process.

@@ -1,13 +1,13 @@
-"""The two-person zero-sum game at a fixed c (paper, section 3.2), and mixtures of section 3.4.
+"""The two-person zero-sum game at a fixed c (paper, section 3.2), and the lotteries of section 3.4.
 
 The adversary mixes two MDPs: the objective MDP with weight alpha, and the failure MDP. The player
 chooses a policy. The payoff ``alpha * J_obj + (1 - alpha) * (eta / epsilon) * J_cond``, which the
-player minimises, is linear in alpha for each policy. The least payoff ``J*(alpha)`` is therefore
-concave and piecewise linear. Its maximum lies where the lines of two policies cross: one policy
-fails less, the other costs less.
+player minimises, is linear in alpha for each policy. The least payoff ``J*(alpha)`` over all
+policies is therefore concave and piecewise linear. Its maximum lies where the lines of two policies
+cross: one policy fails less, the other costs less.
 
-If the goal is hardly ever reached, J_cond is nearly 1. To keep its digits, payoffs then count
-J_cond - 1 instead: J_cond is counted from the origin 1 rather than 0.
+If the goal is hardly ever reached, J_cond is nearly 1. To keep the digits of J_cond, payoffs then
+contain J_cond - 1 in place of J_cond: J_cond is *counted from the origin* 1 rather than 0.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ all alpha of a flat maximum the greatest is found, which gives the best bound of
 
 @dataclass(frozen=True)
 class Game:
-    """The game of eq. j_c_gamma_def with its two parameters."""
+    """The game of the paper's equation j_c_gamma_def at a given stake and failure budget."""
 
     stake: float  # eta(epsilon; c): c in case M, c * (1 - epsilon) in case S
     budget: float  # epsilon
@@ -45,19 +45,19 @@ class Game:
 
     @property
     def scale(self) -> float:
-        """Weight of J_cond, eta(epsilon; c) / epsilon."""
+        """Factor of J_cond in the payoff: eta / epsilon, the stake divided by the budget."""
         return self.stake / self.budget
 
     def payoff(self, alpha: float, response: BestResponse) -> float:
-        """Return the payoff J_{c,gamma,epsilon}(x', alpha, pi), with J_cond from its origin."""
+        """Return a policy's payoff at a weight alpha, with J_cond counted from its origin."""
         return response.payoff(alpha, (1.0 - alpha) * self.scale)
 
     def size(self, alpha: float, response: BestResponse) -> float:
-        """Return the payoff's size, the sum of its absolute terms, for tolerances."""
+        """Return the sum of the absolute terms of a payoff, to which tolerances are relative."""
         return response.size(alpha, (1.0 - alpha) * self.scale)
 
     def owed(self, alpha: float, origin: float) -> float:
-        """Return the failure term of the payoff if J_cond equals the budget: (1 - alpha) eta.
+        """Return the failure term of the payoff if the whole budget is used: (1 - alpha) eta.
 
         If ``origin`` is 1, J_cond is counted from 1.
         """
@@ -71,11 +71,11 @@ class Game:
         return response.objective - self.scale * response.condition
 
     def rises(self, response: BestResponse) -> bool:
-        """Return whether a policy's payoff increases with alpha or is level."""
+        """Return whether a policy's payoff increases with alpha or is constant."""
         return self.excess(response) >= -_LEVEL * self.stake
 
     def best_response(self, player: Player, alpha: float, accuracy: float) -> BestResponse:
-        """Find the player's best response to alpha, with bounds of J*(x', alpha)."""
+        """Find a policy of least payoff at alpha, with a lower bound of this payoff."""
         return player.response(alpha, (1.0 - alpha) * self.scale, accuracy)
 
 
@@ -91,9 +91,9 @@ class Mixture:
     def weight(self) -> float:
         """Weight of ``plus``: the equilibrium of the 2 x 2 game of section 3.4, in closed form.
 
-        The rows of this game are the two policies, its columns the two MDPs. The payoffs of a row
-        are J_obj and (eta / epsilon) J_cond. The worse of the mixture's two payoffs is convex in
-        the weight. It is least where both payoffs are equal, or at weight 0 or 1.
+        The rows of this game are the two policies, its columns the two MDPs. A policy's payoffs are
+        J_obj and (eta / epsilon) J_cond. The greater of the mixture's two payoffs is a convex
+        function of the weight. It is least where both payoffs are equal, or at weight 0 or 1.
         """
         low, high = self.game.excess(self.minus), self.game.excess(self.plus)
         weights = [0.0, 1.0] + ([low / (low - high)] if low * high < 0.0 else [])
@@ -111,17 +111,17 @@ class Mixture:
 
     @property
     def objective(self) -> float:
-        """J_obj(x'; z) of the mixture."""
+        """J_obj of the mixture: the expected cost, in case S of successful runs only."""
         return self._costs(self.weight)[0]
 
     @property
     def condition(self) -> float:
-        """J_cond(x'; z) of the mixture."""
+        """J_cond of the mixture: the discounted failure probability."""
         return self._costs(self.weight)[1]
 
     @property
     def value(self) -> float:
-        """Worst payoff of the mixture over the two MDPs."""
+        """Greater of the mixture's payoffs against the two MDPs."""
         return self._worst(self.objective, self.condition)
 
     def policy(self, player: Player) -> MixedPolicy:
@@ -182,8 +182,7 @@ class Equilibrium(Mixture):
 def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:
     """Return the alpha in [0, 1] at which two policies have equal payoffs.
 
-    If the payoffs cross outside of [0, 1] because the policies differ by rounding only, the nearer
-    end of the interval is returned: one policy then dominates the other.
+    If rounding moves this point outside [0, 1], the nearer end of the interval is returned.
     """
     spared = minus.objective - plus.objective
     risked = game.scale * (plus.failing - minus.failing)
@@ -196,14 +195,15 @@ def play(
 ) -> Equilibrium:
     """Find the equilibrium of a game: the adversary's alpha* and two policies of equal payoff.
 
-    The payoffs of two policies are lines in alpha. Their crossing bounds the maximum of the concave
-    ``J*(alpha)`` from above. The best response there replaces one of the policies, until it does
-    not lie below the crossing (paper, sections 3.2 and 3.4).
+    The payoffs of two policies are lines in alpha. The point where the lines cross bounds the
+    maximum of the concave ``J*(alpha)`` from above. The best response at this alpha replaces one of
+    the two policies. The search ends when the best response's payoff is no longer below the
+    crossing (paper, sections 3.2 and 3.4).
 
     Args:
         player: finds best responses, such as ``stationary_player(problem)``.
         game: the game, with its stake in units of cost and the failure budget.
-        known: policies found before, at any c: they are strategies of every game.
+        known: policies found in games at other values of c; every game has the same policies.
         accuracy: relative distance between the two bounds of the value, in (0, 1).
 
     Returns:
@@ -243,7 +243,10 @@ def play(
 
 
 def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
-    """Return the best mixture of known policies when time is up; its lower bound is -infinity."""
+    """Return the result of a game without time to play it: the best mixture of known policies.
+
+    The lower bound of the game's value is -infinity.
+    """
     minus, plus = _closest_to_equilibrium(game, responses)
     if minus is None or plus is None:
         minus = plus = minus or plus or responses[0]
@@ -254,11 +257,10 @@ def unplayed_game(game: Game, responses: Sequence[BestResponse]) -> Equilibrium:
 def _closest_to_equilibrium(
     game: Game, responses: Sequence[BestResponse]
 ) -> tuple[BestResponse | None, BestResponse | None]:
-    """Find the two policies whose mixture has equal and least payoffs against both MDPs.
+    """Find the rising and the falling policy whose mixture with equal payoffs is cheapest.
 
-    A policy is the point (J_obj, (eta / epsilon) J_cond). A mixture with equal payoffs is the
-    intersection of the diagonal with the segment between a point on either side. A policy is None
-    if no point lies on its side.
+    A policy rises if its payoff does not decrease with alpha. The policy of a kind is None if no
+    response is of this kind.
     """
     rising = [r for r in responses if game.rises(r)]
     falling = [r for r in responses if not game.rises(r)]
@@ -273,15 +275,16 @@ def cheapest_crossing(
     right: Sequence[BestResponse],
     position: Callable[[BestResponse], float],
 ) -> tuple[BestResponse, BestResponse, float, float]:
-    """Find the cheapest lottery over two policies, one on each side of position 0.
+    """Find the lottery of least J_obj over two policies whose positions have the mean 0.
 
     Args:
-        left: policies at positions up to 0, to rounding.
-        right: policies at positions above 0.
-        position: position of a policy; the position of the lottery is 0.
+        left: policies with positions <= 0, up to rounding.
+        right: policies with positions > 0.
+        position: returns a policy's position, such as its failure minus the budget.
 
     Returns:
-        The policy on each side, the weight of the second, and the lottery's J_obj.
+        The policy from ``left``, the policy from ``right``, the weight of the second policy, and
+        the lottery's J_obj.
     """
     at, beyond = (np.array([position(r) for r in side]) for side in (left, right))
     share = -at[:, None] / (beyond - at[:, None])
@@ -294,18 +297,17 @@ def cheapest_crossing(
 def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> Mixture:
     """Mix the best responses to alpha* - delta and alpha* + delta (Theorem 3-4).
 
-    The mixture's worst payoff tends to the equilibrium's value as delta goes to 0. If no other kink
-    of ``J*(alpha)`` lies within delta of alpha*, the two policies are those of the equilibrium, and
-    the mixture is optimal. Otherwise the payoff of each policy at alpha* exceeds the game's value
-    by at most delta times its slope. So does the mixture's worst payoff, which is the payoff of
-    both policies at their crossing (the proof of Theorem 3-4 allows 2 delta times the steepest
-    slope).
+    The mixture's worst payoff, the greater of the payoffs against the two MDPs, tends to the game's
+    value as delta goes to 0. It exceeds this value by at most delta times the steeper slope of the
+    two policies' payoffs (the proof of Theorem 3-4 allows twice as much). If no other kink of
+    ``J*(alpha)`` lies within delta of alpha*, the mixture is optimal.
 
     Args:
         player: finds best responses.
         game: the game at c*, in case S also at epsilon*.
         alpha: alpha*.
-        delta: distance from alpha*, above 0; the two arguments are clipped to [0, 1].
+        delta: distance from alpha*, above 0. Values of alpha* - delta and alpha* + delta outside
+            [0, 1] are replaced by 0 and 1.
 
     Raises:
         ModelError: an alpha or a delta out of range.

@@ -1,11 +1,11 @@
 """The optimum c* of a problem by the paper's game, without linear programs.
 
-At a given epsilon, c* is the least c for which the game's value is at most eta (eq. def_c*);
-section 3.5 calls it c-hat. In case M epsilon is the budget, in case S the best epsilon' up to the
-budget.
+At a failure budget epsilon, c* is the least c for which the game's value is at most the stake: c in
+case M, and c (1 - epsilon) in case S (eq. def_c*, where eta is the stake). In case M epsilon is the
+problem's budget. In case S it is the epsilon' of least c* up to this budget.
 
-``stationary_game`` finds c-hat and the mixed policy of section 3.5 of the paper, where J_obj is
-discounted like J_cond; ``bayes_adaptive`` finds c* without this approximation.
+``stationary_game`` finds c-hat, the approximation of c* in section 3.5 of the paper, where J_obj is
+discounted like J_cond. ``bayes_adaptive`` finds c* without this approximation.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Threshold:
 
     @property
     def condition(self) -> float:
-        """J_cond of the mixture."""
+        """J_cond of the mixture: the discounted failure probability."""
         return sum(w * r.condition for w, r in zip(self.weights, self.members, strict=True))
 
 
@@ -102,21 +102,20 @@ def find_threshold(
     tolerance: float,
     progress: Progress | None = None,
 ) -> Threshold:
-    """Bracket ``min{c > 0 : game value <= eta(epsilon; c) = share * c}`` to a tolerance.
+    """Bracket c* at a budget epsilon: ``min{c > 0 : value of the game at c <= share * c}``.
 
-    Each game moves an end of the bracket. The game's value at alpha* is a bound for every policy:
-    policies within the budget have ``J_obj >= (value - (1 - alpha*) eta) / alpha*``, which gives
-    the lower end. The game's policies, mixed so that they use the whole budget, give the upper end.
-    Games are played at the upper end and at the midpoint alternately, so that the bracket always
-    shrinks.
+    Each game moves an end of the bracket. The value of a game at alpha* gives the lower end, since
+    all policies within the budget have ``J_obj >= (value - (1 - alpha*) eta) / alpha*``. The game's
+    policies, mixed so that they use the whole budget, give the upper end. Games are played at the
+    upper end and at the midpoint in turn, so that the bracket always shrinks.
 
     Args:
         player: finds best responses.
         budget: epsilon.
         share: 1 in case M, 1 - epsilon in case S.
-        previous: responses found before, at least those of ``extremes``. If all of them exceed the
-            budget, they do so by rounding only, and the budget counts as the least failure.
-        room: the budget minus the responses' origin, if known to more digits than the budget.
+        previous: responses found before, which include those of ``extremes``. If all of them exceed
+            the budget, the excess is due to rounding, and their least failure replaces the budget.
+        room: the budget minus the responses' origin, if known more accurately than this difference.
         tolerance: relative width of the bracket to reach.
         progress: called after each game with (responses, price of failure, upper end).
     """
@@ -166,9 +165,10 @@ def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
 def _cheap_near_least_failure(
     player: Player, budget: float, previous: Sequence[BestResponse], accuracy: float
 ) -> Iterator[BestResponse]:
-    """Yield responses at high prices of failure if the budget is near the least failure.
+    """Yield best responses at high prices of failure if the budget is near the least failure.
 
-    They have about the least failure at less cost than the response that ignores the cost.
+    Each fails about as rarely as the safest policy, which was found without regard to cost, but
+    costs less.
     """
     safest = min(previous, key=lambda r: r.failing)
     if budget > safest.condition * _ROOM + LEAST_BUDGET:
@@ -196,7 +196,7 @@ def _threshold_from_game_value(played: Equilibrium) -> float:
 def cheapest_mixture(
     responses: Sequence[BestResponse], room: float
 ) -> tuple[tuple[BestResponse, ...], tuple[float, ...], float]:
-    """Find the cheapest lottery over one or two policies within the budget.
+    """Find the lottery of least J_obj over one or two policies that satisfies the budget.
 
     Args:
         responses: policies, at least one of them within the budget.
@@ -269,7 +269,12 @@ def check_budget(
 
 
 def construct(kind: type[Player], problem: Problem, tail: float | None = None) -> Player:
-    """Build the objective MDP M_o and the failure MDP M_{d,gamma} of section 3.1, with a player.
+    """Build a player of a given class, with the objective MDP and the failure MDP of a problem.
+
+    Args:
+        kind: the class; ``BayesPlayer`` leaves J_obj undiscounted.
+        problem: states the case, the start and the discount (paper, section 3.1).
+        tail: in case S the total cost M from which on pi'_or is followed (section 3.5.1), or None.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
@@ -327,9 +332,10 @@ def find_optimum(
     In case M, c* is the least c whose game value is at most c.
 
     In case S, c* is the least value of c*(e) over all budgets e in (0, epsilon] (Theorem 3-1). Here
-    c*(e) = F(e) / (1 - e), where F(e) is the least J_obj at J_cond = e, a convex function. c*(e)
-    falls while ``-F'(e) > c*(e)`` and rises after that. So it either still falls at epsilon, or a
-    single policy attains its minimum, at which the price of failing is c*.
+    c*(e) = F(e) / (1 - e), and F(e), the least J_obj at J_cond = e, is convex. c*(e) falls while
+    ``-F'(e) > c*(e)`` and rises after that. Either c*(e) still falls at epsilon, and its minimum is
+    c*(epsilon). Or the minimum lies at an e where the price of failure -F'(e) is c*, and a single
+    policy attains it.
 
     Args:
         problem: states the case and the budget.
@@ -362,11 +368,10 @@ def find_optimum(
 
 
 def _slack_bound_of_optimum(player: Player, ratio: float, budget: float, tolerance: float) -> float:
-    """Prove a lower bound, a little below the optimum, of the cost given success of all policies.
+    """Prove a lower bound, a little below a given ratio, of every policy's cost given success.
 
-    If the cost of failing is a little below the optimal ratio, failing is strictly best, usually by
-    a margin above rounding. If rounding exceeds the margin, the bound is lowered by what a policy
-    within the budget may gain by it.
+    A ratio is proved if failing surely is optimal when failing costs this ratio. If rounding errors
+    prevent the proof, the bound is lowered by what a policy within the budget may gain by them.
     """
     best = 0.0
     for share in _MARGINS:
@@ -390,7 +395,7 @@ def _least_ratio(
     """Find the policy of least J_obj / (1 - J_cond) by Dinkelbach's iteration.
 
     A ratio c is the least one if ``J_obj + c J_cond >= c`` for every policy. A policy that violates
-    this has a smaller ratio, which is tried next.
+    this has a smaller ratio, which replaces c.
 
     Returns:
         The policy, all responses, and whether the search was completed.
@@ -428,7 +433,7 @@ def stationary_player(problem: Problem, tail: float | None = None) -> Player:
     Args:
         problem: states the case, the start and the discount.
         tail: in case S the total cost M of section 3.5.1: once M is paid, pi'_or is followed, and
-            J_obj is no longer discounted. None: M grows until nothing is lost beyond it.
+            J_obj is no longer discounted. None: M grows until the optimum no longer depends on M.
 
     Raises:
         ModelError: no discount, a budget that is not above 0, an invalid tail, or one in case M.
@@ -481,8 +486,8 @@ def thresholds(
     """Compute c* of each epsilon' separately: the curve that Theorem 3-1 minimises in case S.
 
     Args:
-        problem: states the case, the start and the discount; its own budget must be above 0, and
-            is not used otherwise.
+        problem: states the case, the start and the discount. Its own failure budget must be above 0
+            but has no effect.
         budgets: each at least the least discounted failure, and in case S below 1.
         tail: the M of section 3.5.1, as in :func:`stationary_game`.
         tolerance: relative distance between each c* and its lower bound to reach.
@@ -523,11 +528,11 @@ def bayes_adaptive(
 ) -> GameSolution:
     """Solve the Bayes-adaptive game of section 3.2 by the iteration of section 3.3.
 
-    J_obj is undiscounted and J_cond discounted: sections 3.2 to 3.4 solve this problem, and
-    section 3.5 approximates it by discounting J_obj as well. The adversary's weight is a belief
-    about which MDP is being played. Both have the same transitions, but M_{d,gamma} ends with
-    probability 1 - gamma in each step. So a run that goes on is evidence for M_o, whatever happens
-    in it, and the belief follows one trajectory from each initial value.
+    J_obj is undiscounted and J_cond discounted: sections 3.2 to 3.4 solve this problem, and section
+    3.5 approximates it by discounting J_obj as well. The adversary's weight is a belief about which
+    MDP is being played. Both have the same transitions, but M_{d,gamma} ends with probability 1 -
+    gamma in each step. So each further step is evidence for M_o, and the belief is a function of
+    its initial value and the number of steps alone.
 
     Args:
         problem: with a discount, which applies to J_cond only, and a failure budget above 0.
@@ -539,8 +544,8 @@ def bayes_adaptive(
         on time.
 
     Raises:
-        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or a table of
-            decisions that would be too large; it grows with the length of runs.
+        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or runs so long
+            that the table of decisions would be too large.
         InfeasibleError: the discounted failure of every policy exceeds the budget.
     """
     check_between_0_and_1("tolerance", tolerance)
@@ -549,11 +554,11 @@ def bayes_adaptive(
 
 
 def posterior(alpha: float, discount: float) -> float:
-    """Return the adversary's weight nu(alpha)(M_o) in the Bayes-adaptive game after one step.
+    """Return the adversary's weight nu(alpha)(M_o) of the objective MDP after one more step.
 
     Args:
         alpha: the weight before the step, in [0, 1].
-        discount: gamma, with which M_{d,gamma} goes on after each step, in (0, 1).
+        discount: gamma, the probability with which the failure MDP goes on after a step, in (0, 1).
 
     Returns:
         ``alpha / (alpha + gamma (1 - alpha))``, Bayes' rule (paper, section 3.3).
@@ -565,11 +570,11 @@ def posterior(alpha: float, discount: float) -> float:
 
 
 def belief_at(alpha: float, discount: float, time: IntArray) -> FloatArray:
-    """Return the adversary's weight of M_o in the Bayes-adaptive game after numbers of steps.
+    """Return the adversary's weight of the objective MDP after each given number of steps.
 
     Args:
         alpha: the weight at the start, in [0, 1].
-        discount: gamma, with which M_{d,gamma} goes on after each step, in (0, 1).
+        discount: gamma, the probability with which the failure MDP goes on after a step, in (0, 1).
         time: numbers of steps, >= 0, in any shape.
 
     Returns:

@@ -9,8 +9,8 @@ states with label s, at which the run has not failed. Two kinds of states are le
   (1 - gamma) gamma^t = 1``.
 - Dead-ends, since giving up at once is best there.
 
-Wandering for ever at no cost has the value of giving up free of charge. States where the model
-allows wandering therefore have a pair for giving up.
+To stay for ever among actions of cost 0 is worth as much as giving up free of charge. States where
+this is possible have a pair for giving up.
 
 Value iteration from below stops by a proved bound (sections 3.3 and 3.5).
 """
@@ -45,7 +45,7 @@ from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.errors import ModelError, wrong_argument
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import end_components, goal_pairs
+from ssp_lp.model.graph import end_components
 from ssp_lp.policies.policy import DeterministicPolicy, Policy
 from ssp_lp.policies.remembering import TimedPolicy
 from ssp_lp.processes.failure_semantics import (
@@ -103,10 +103,11 @@ def check_alpha(alpha: object) -> None:
 
 @dataclass(frozen=True, eq=False)
 class BestResponse:
-    """A deterministic policy that minimises a weighted sum of the game's two costs.
+    """A deterministic policy that minimises a weighted sum of the game's costs J_obj and J_cond.
 
-    If the goal is hardly ever reached, J_cond equals 1 up to rounding. ``origin`` is then 1:
-    J_cond - 1, which is minus the success, is summed separately to keep its digits.
+    If the goal is hardly ever reached, J_cond equals 1 up to rounding. ``origin`` is then 1, and
+    ``failing`` is J_cond - 1, minus the success probability, computed without J_cond to keep its
+    digits.
     """
 
     objective: float  # J_obj(x'; pi), exact for the policy
@@ -118,12 +119,12 @@ class BestResponse:
 
     @property
     def condition(self) -> float:
-        """J_cond(x'; pi)."""
+        """J_cond: the policy's discounted failure probability."""
         return self.origin + self.failing
 
     @property
     def success(self) -> float:
-        """1 - J_cond; in case S E[gamma^T; goal]."""
+        """1 - J_cond; in case S the discounted success probability E[gamma^T; goal]."""
         return (1.0 - self.origin) - self.failing
 
     @property
@@ -141,13 +142,13 @@ class BestResponse:
         return objective_weight * self.objective + condition_weight * self.failing
 
     def size(self, objective_weight: float, condition_weight: float) -> float:
-        """Return the payoff's size, the sum of its absolute terms, for tolerances."""
+        """Return the sum of the absolute terms of the payoff, to which tolerances are relative."""
         return objective_weight * self.objective + condition_weight * abs(self.failing)
 
 
 @dataclass(frozen=True, eq=False)
 class _Iterated:
-    """Result of value iteration: a policy, its exact costs, and a lower bound of all policies."""
+    """Result of value iteration: a policy, its exact costs, and bounds of the optimal values."""
 
     values: FloatArray  # [nodes] checked: at most the optimal value at every node
     choice: IntArray  # [nodes] greedy pairs
@@ -169,9 +170,9 @@ def iterate_values(
     The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. Each round has two bounds:
 
     - Upper bound: the exact value of the greedy policy, improved by policy iteration.
-    - Lower bound: the iterate, or the policy's value if this is greater. Both are lowered until a
-      backup with its rounding confirms that they are lower bounds. With the policy's value, slow
-      cycles do not delay convergence.
+    - Lower bound: the iterate, or the policy's value if this is greater. Both are lowered until one
+      Bellman backup, less its rounding errors, confirms that they are lower bounds. The policy's
+      value saves the many iterations that slow cycles would need.
 
     The iteration ends when the two bounds agree at the watched nodes, or differ by rounding only.
 
@@ -206,10 +207,10 @@ def iterate_values(
 def improved_response(
     dynamics: Dynamics, costs: FloatArray, weights: FloatArray, choice: IntArray
 ) -> tuple[IntArray, FloatArray, int]:
-    """Improve a choice by policy iteration.
+    """Improve a policy, given as a pair for each node, by policy iteration.
 
     Returns:
-        The improved choice, [nodes]; its exact costs, [nodes, costs]; and the number of steps.
+        The improved policy, [nodes]; its exact costs, [nodes, costs]; and the number of steps.
     """
     pair_cost, steps = costs @ weights, 0
     offsets, transitions = dynamics.pair_offsets, dynamics.transitions
@@ -265,7 +266,7 @@ def label_process(
 
 
 class _Strategy(NamedTuple):
-    """A choice of pairs for each (time, layer, node); the last time stands for all later times."""
+    """A chosen pair for each (time, layer, node); the last time stands for all later times."""
 
     choice: IntArray  # [times, layers, nodes] position among the pairs of the node
     totals: Totals  # accumulated costs of the layers
@@ -276,14 +277,15 @@ class _Strategy(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Player:
-    """Best responses among policies of (state, accumulated cost), by the operator T_alpha.
+    """Best responses among policies that depend on the state and, in case S, the accumulated cost.
 
-    A single layer is solved by value iteration. Layers up to an accumulated cost M are solved by
-    one backward sweep, and M grows until nothing is lost beyond it.
+    In case M there is one layer, solved by value iteration with the operator T_alpha. In case S the
+    layers up to an accumulated cost M are solved by one backward sweep. Beyond M fixed policies,
+    the *tails*, are followed. M grows until the response's payoff and its lower bound agree.
 
-    If ``tail`` is given, M is equal to it, and pi'_or is followed once M is paid (section 3.5.1).
-    J_obj is then discounted only below M, and J_cond everywhere, like V in the paper. Bounds hold
-    for the policies of the class Pi_{M,pi'_or}.
+    If ``tail`` is given, M is equal to it, and the tail is pi'_or (section 3.5.1). J_obj is then
+    discounted only below M, and J_cond everywhere, like V in the paper. Bounds hold for the
+    policies of the class Pi_{M,pi'_or}.
     """
 
     base: AccumulatedCost
@@ -293,10 +295,10 @@ class Player:
 
     @cached_property
     def outer_tails(self) -> tuple[IntArray, LayeredTails]:
-        """The tails that fail least and most, MAXPROB and MINPROB (section 2.3).
+        """The policies of least and of greatest failure, followed beyond M: MAXPROB and MINPROB.
 
-        Both are found by value iteration on the discounted process without accumulated cost. There
-        are two differences to the paper:
+        Both are found by value iteration on the discounted process without accumulated cost
+        (section 2.3). There are two differences from the paper:
 
         - Beyond M the paper follows pi'_or, which fails most. If failing is expensive, this needs a
           very large M. Here the policy that fails least is followed beyond M until so much has been
@@ -305,7 +307,8 @@ class Player:
           are discounted as below M, so that c-hat does not depend on M once M is large.
 
         Returns:
-            The pairs of both tails, [2, nodes], and their values with bounds of every policy.
+            The pairs of the two policies, [2, nodes]; and their values, with bounds of every
+            policy's goal probability.
         """
         base, gamma = self.base, self.base.survival
         dynamics, _ = base.quotient.dynamics(gamma, departing=False)
@@ -327,24 +330,25 @@ class Player:
 
     @property
     def tails(self) -> LayeredTails:
-        """The policies that are followed beyond M: those that fail least and most."""
+        """The policies of least and of greatest failure, which are followed beyond M."""
         return self.outer_tails[1]
 
     @cached_property
     def origin(self) -> float:
-        """Origin from which J_cond is counted: 1 if success is rare, else 0 (``BestResponse``).
+        """Origin from which J_cond is counted: 1 if success is rare, else 0 (see ``BestResponse``).
 
-        It is that of case S; case M counts from 0.
+        It applies in case S. In case M, J_cond is always counted from 0.
         """
         reachable = float(self.base.start @ self.tails.greatest_goal) + self.base.start_goal
         return float(reachable <= _RARE)
 
     @cached_property
     def undiscounted_tail(self) -> LayeredTails:
-        """The tail pi'_or in Pi_{d,or} of section 3.5.1: undiscounted MINPROB (section 2.3).
+        """The tail pi'_or of section 3.5.1: the policy of least goal probability (MINPROB).
 
-        It gives up at attention states. Among pairs that reach the goal with equal probability it
-        takes the one that was stated first. Its J_obj is undiscounted, its J_cond discounted.
+        The probability is undiscounted. The policy gives up at attention states, from which the
+        goal can surely be avoided. Among pairs that reach the goal with equal probability it takes
+        the one that was stated first. Its J_obj is undiscounted, its J_cond discounted.
         """
         base, quotient = self.base, self.base.quotient
         giving_up = np.full(base.n_nodes, -1, dtype=np.int32)
@@ -358,11 +362,11 @@ class Player:
         return replace(self.tails, decisions=quotient.pull_back(pairs[0])[None], values=values)
 
     def followed_tails(self, choices: IntArray, survival: float) -> tuple[FloatArray, FloatArray]:
-        """Evaluate stationary policies, given as pairs, [policies, nodes].
+        """Evaluate stationary policies, each given by a pair for every node, [policies, nodes].
 
         Returns:
-            E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal], with the number T of steps
-            to the goal, [policies, nodes] each.
+            E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal], [policies, nodes] each,
+            where T is the number of steps to the goal.
         """
         quotient, (early, cost) = self.base.quotient, np.zeros((2, *choices.shape))
         dynamics, _ = quotient.dynamics(survival, departing=False)
@@ -376,12 +380,12 @@ class Player:
 
     @property
     def dearest(self) -> float:
-        """Least increase of M, in units: at least the greatest cost of a step."""
+        """Least amount by which M is increased, in units: at least the greatest cost of a step."""
         steps = step_costs(self.base.quotient.model)[1]
         return float(steps[-1]) if self.base.by_steps else float(self.base.width)
 
     def totals(self, cap: float) -> Totals:
-        """Return the totals below M = ``cap``, and those at which the tails take over.
+        """Return the totals below M = ``cap``, and the first ones beyond, where the tails begin.
 
         Raises:
             ModelError: the totals are too many.
@@ -404,11 +408,11 @@ class Player:
     ) -> BestResponse:
         """Find a policy of least ``objective_weight J_obj + condition_weight J_cond``.
 
-        All responses of a player count J_cond from one origin. If it is not too large, the first M
-        is the total r from which failing at attention states is optimal, ``w_o r = w_d``. M then
-        grows until the lower bound of all policies is within the accuracy of the response, or
-        differs by rounding only. The loss due to the cap falls geometrically as M grows, so that
-        the next M is extrapolated from the last two.
+        The first M is the total r from which failing at attention states is optimal, ``w_o r =
+        w_d`` for the two weights, unless r is too large. M then grows until the lower bound of
+        every policy's payoff agrees with the response's payoff within the accuracy, or up to
+        rounding. Their distance falls geometrically as M grows, so the next M is extrapolated from
+        the last two. All responses of a player count J_cond from the same origin.
 
         Args:
             objective_weight: alpha(M_o) of section 3.2 of the paper, not negative.
@@ -442,7 +446,7 @@ class Player:
     def _first_cap(self, weights: FloatArray) -> float:
         """Return the first M, in units: the total from which failing is optimal.
 
-        If this total is too large, the first M is a few times the greatest cost of a step.
+        If this total is too large, return a few times the greatest cost of a step instead.
         """
         base, cap = self.base, _FIRST_LAYERS * self.dearest
         if weights[0] == 0.0:
@@ -451,7 +455,7 @@ class Player:
         return lossless + self.dearest if lossless <= 8 * cap else cap
 
     def values_of(self, weights: FloatArray, watched: FloatArray, accuracy: float) -> _Iterated:
-        """Run value iteration on one layer, at weights of J_obj and J_cond, [2].
+        """Run value iteration on a single layer.
 
         Args:
             weights: weights of J_obj and J_cond, [2].
@@ -475,7 +479,7 @@ class Player:
         return BestResponse(objective, condition, bound, strategy, iterated.sweeps)
 
     def _swept(self, weights: FloatArray, cap: float) -> BestResponse:
-        """Find a best response and a bound by backward sweeps up to M = ``cap``, then tails."""
+        """Find a best response and its bound by a sweep over the layers up to M = ``cap``."""
         base, is_fixed = self.base, self.tail is not None
         tails = self.undiscounted_tail if is_fixed else self.tails
         process = LayeredProcess(base, self.totals(cap), tails)
@@ -494,18 +498,18 @@ class Player:
     def lower_bounds(
         self, sweep: Sweep, price: float, failing: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return lower bounds of J_obj + price * J_cond for all policies.
+        """Return lower bounds of ``J_obj + price * J_cond`` that hold for every policy.
 
-        With a fixed tail the bounds hold for all policies that follow it beyond M.
+        If ``tail`` is given, they hold for every policy that follows pi'_or beyond M.
 
         Args:
             sweep: sweep over the layers up to M.
             price: price of J_cond.
-            failing: the price; 0 to count J_cond from 1.
+            failing: equal to ``price``; or 0, to bound ``J_obj - price * (1 - J_cond)`` instead.
 
         Returns:
-            Bounds for a run that starts in each layer, [layers], and for each state, [layers,
-            nodes].
+            The bound for the start distribution placed in each layer, [layers]; and for each state
+            in each layer, [layers, nodes].
         """
         process: Any = sweep.process
         priced = at_price(sweep, price, failing, bounds=True)
@@ -520,24 +524,24 @@ class Player:
     def surplus(self, price: float, accuracy: float) -> float:
         """Return a lower bound of ``J_obj - price * (1 - J_cond)`` for all policies, rounded down.
 
-        A bound >= 0 proves ``J_obj / (1 - J_cond) >= price`` for all policies. A policy that fails
-        surely has the value 0, so that a small difference from it is not lost in rounding.
+        A bound >= 0 proves ``J_obj / (1 - J_cond) >= price`` for all policies. The expression is 0
+        for a policy that fails surely, so differences from such a policy keep their digits.
         """
         process = self.response(1.0, price, accuracy).strategy.process
         return float(self.lower_bounds(Sweep.of_ends(process), price, 0.0)[0][0])
 
     def value_function(self, price: float, responses: Sequence[BestResponse]) -> FloatArray:
-        """Compute checked lower bounds of ``J_obj + price * J_cond``; infinite if time is up.
+        """Compute a value function for ``certify``: lower bounds of ``J_obj + price * J_cond``.
 
         Args:
             price: price of J_cond.
             responses: the player's responses so far.
 
         Returns:
-            In case M the bounds, [nodes], followed by the start's value if episodes may start in
-            goals or dead-ends. In case S infinite values, which make ``certify`` compute the best
-            values: [layers, nodes], with as many layers as the responses had; [1] if the costs have
-            no common unit.
+            In case M a checked bound for each node, [nodes], followed by that of the start if
+            episodes may start in goals or dead-ends; infinite if time is up. In case S only
+            infinite entries, so that ``certify`` computes the values itself: [layers, nodes] with
+            the most layers of a response, or [1] if the costs have no common unit.
         """
         base = self.base
         if self.counts_total and base.by_steps:
@@ -554,7 +558,7 @@ class Player:
     def policy(self, response: BestResponse) -> Policy:
         """Return a best response as a policy on the original states, with its memory.
 
-        Successive stages with equal decisions are one object.
+        Successive times with equal decisions share one policy object.
         """
         strategy: _Strategy = response.strategy
         quotient, first, process = self.base.quotient, self.base.pair_offsets[:-1], strategy.process
@@ -571,7 +575,10 @@ class Player:
 
 
 def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
-    """Extrapolate the M at which the loss is ``wanted``, but 1.25 to 4 times the last M.
+    """Return the next M, at which the loss is expected to fall to ``wanted``.
+
+    The loss is the distance of a response's payoff from its lower bound. The result is at least
+    1.25 and at most 4 times the last M.
 
     Args:
         lost: loss at each M so far.
@@ -591,8 +598,8 @@ class BayesPlayer(Player):
     """Best responses among all policies, by backward induction over time (paper, section 3.3).
 
     J_obj is undiscounted here and J_cond is discounted. The best action therefore depends on the
-    adversary's belief, which is a function of time. If values are weighted by the probability that
-    a run goes on, the operator T of section 3.3 becomes a backward induction over time:
+    adversary's belief, which is a function of time. The operator T of section 3.3, applied to
+    values weighted by the probability that a run goes on, is a backward induction over time:
 
         W_t(x) = min_u w_o G_o(x, u) + gamma^t w_d G_d(x, u) + sum_y p(y | x, u) W_{t+1}(y),
 
@@ -623,11 +630,12 @@ class BayesPlayer(Player):
     def _cheapest(self) -> tuple[IntArray, LayeredTails]:
         """Find the policy of least undiscounted J_obj in case M, by policy iteration.
 
-        Only strict improvements are made, so that every policy on the way ends with certainty.
+        Only strict improvements are made, so that every run ends surely under each intermediate
+        policy.
         """
         base, quotient, cost = self.base, self.base.quotient, self.base.gain_cost
         dynamics = quotient.dynamics(1.0, departing=False)[0]
-        choice = quotient.nearer(goal_pairs(quotient.model))
+        choice = quotient.nearer_goal()
         choice = base.pair_offsets[:-1].copy() if choice is None else choice.astype(np.int32)
         choice, totals, _ = improved_response(dynamics, cost[:, None], np.ones(1), choice)
         values = totals[:, 0]
@@ -645,13 +653,13 @@ class BayesPlayer(Player):
     def _surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
         """Return lower bounds of the weighted cost minus that of sure failure, [totals, nodes].
 
-        A policy reaches the goal with at least its discounted success E[gamma^T; goal], and then
-        pays at least the accumulated cost, undiscounted. The bound is linear in the discounted
-        success, which lies between two known bounds.
+        If a policy's discounted success probability is s, its cost exceeds that of sure failure by
+        at least s (w_o * accumulated cost - w_d). The bound is the least value of this expression
+        over the known range of s.
 
         Args:
             paid: accumulated costs, [totals].
-            weights: weights of J_obj and J_cond, [2].
+            weights: w_o of J_obj and w_d of J_cond, [2].
         """
         per_success = weights[0] * paid[:, None] - weights[1]
         tails = self.last_tail[1]
@@ -663,9 +671,10 @@ class BayesPlayer(Player):
     ) -> BestResponse:
         """Find the best policy of (time, state), in case S of (time, state, accumulated cost).
 
-        The first cap is that of the stationary player. The horizon is doubled until the lower bound
-        equals the policy's payoff within the accuracy. If doubling hardly reduces the gap, the cap
-        is doubled as well. In case M the horizon of ``horizon_of`` suffices for every model.
+        The first cap on accumulated cost is that of the stationary player. The horizon is doubled
+        until the lower bound equals the policy's payoff within the accuracy. If this hardly reduces
+        the gap, the cap is doubled as well. In case M the horizon of ``horizon_of`` suffices for
+        every model.
 
         Raises:
             ModelError: the table of decisions would be too large.
@@ -710,7 +719,7 @@ class BayesPlayer(Player):
 
     @property
     def _lost(self) -> float:
-        """Bound of the rounding of one backup, relative to its size."""
+        """Greatest rounding error of one backup, relative to the sum of its absolute terms."""
         longest = int(np.diff(self.base.steps.indptr).max(initial=0)) + self.base.width
         return (longest + 4) * MACHINE_EPSILON
 
@@ -721,7 +730,7 @@ class BayesPlayer(Player):
 
     @cached_property
     def _blocks(self) -> list[sp.csr_array]:
-        """Undiscounted transitions of each class of steps, [pairs, nodes] each."""
+        """Undiscounted transitions, a matrix [pairs, nodes] for each class of steps (by cost)."""
         base, n = self.base, self.base.n_nodes
         steps = sp.csc_array(base.steps / base.survival)
         return [sp.csr_array(steps[:, k * n : (k + 1) * n]) for k in range(base.width)]
@@ -738,7 +747,7 @@ class BayesPlayer(Player):
         return np.asarray(sum(parts, np.zeros((len(self.base.gain), totals.size))))
 
     def _response(self, weights: FloatArray, cap: float, horizon: int) -> BestResponse:
-        """Run backward induction from a horizon; the last tail is followed beyond it and the cap.
+        """Find a best response by backward induction; ``last_tail`` follows after cap and horizon.
 
         Args:
             weights: weights of J_obj and J_cond, [2].
@@ -787,9 +796,9 @@ class BayesPlayer(Player):
         )
 
     def _beyond(self, totals: Totals, weights: FloatArray) -> FloatArray:
-        """Return lower bounds of all policies' weighted cost after the horizon, [nodes, totals].
+        """Return lower bounds of every policy's weighted cost after the horizon, [nodes, totals].
 
-        They come from the stationary game, since a discount can only make J_obj smaller.
+        They come from the stationary game, whose J_obj is discounted and therefore no greater.
 
         Args:
             totals: the totals.
@@ -819,10 +828,9 @@ class BayesPlayer(Player):
 
 
 def horizon_of(discount: float, condition_weight: float, error: float) -> int:
-    """Return the number of steps N after which ``condition_weight * gamma^N`` is at most error.
+    """Return a number of steps N such that ``condition_weight * gamma^N`` is at most ``error``.
 
-    After N steps, J of section 3.3 differs by at most ``error`` from the J of a player who ignores
-    failing.
+    From step N on, failing can contribute at most ``error`` to J of section 3.3.
     """
     if condition_weight <= error:
         return 1

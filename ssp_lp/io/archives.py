@@ -82,7 +82,6 @@ class _Arrays(dict[str, Array]):
     """Arrays of an archive by name, each unpacked on first use."""
 
     def __init__(self, archive: Any) -> None:
-        """Wrap an archive that numpy has opened."""
         self._archive = archive
 
     def __missing__(self, name: str) -> Array:
@@ -185,7 +184,7 @@ def save_model(model: SSP, path: FilePath) -> None:
     check_model(model, "save_model")
 
     def stated(names: Sequence[Hashable]) -> list[Any] | None:
-        """Return names as JSON values; None if the names are the numbers 0, 1, ... ."""
+        """Return names as JSON values; None if the names are their own positions 0, 1, ... ."""
         if isinstance(names, range):
             return None
         return [name if isinstance(name, float) else label_value(name) for name in names]
@@ -216,7 +215,7 @@ def save_model(model: SSP, path: FilePath) -> None:
 
 
 class StoredModel:
-    """A file of :func:`save_model` from which blocks of states are read without the rest."""
+    """A file of :func:`save_model`, of which any block of states can be read by itself."""
 
     def __init__(self, path: FilePath) -> None:
         """Read the goals, the sets of states and the number of states.
@@ -324,7 +323,7 @@ def load_model(path: FilePath) -> SSP:
 
 
 def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:
-    """Return the names at given positions; ``what`` says what has these names, for the error."""
+    """Return the names at given positions; ``what`` describes the named things in errors."""
     if ((numbers < 0) | (numbers >= len(names))).any():
         raise ModelError(f"there are {what} without a name")
     return [names[k] for k in numbers.tolist()]
@@ -334,11 +333,12 @@ def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> l
 def save_policy(policy: AnyPolicy, path: FilePath) -> None:
     """Write a policy to an archive: compressed arrays with a header in JSON, no pickle.
 
-    The file has the model's :func:`fingerprint`, not the model: pass it to :func:`load_policy`.
+    The file has the model's :func:`fingerprint`, not the model: pass the model to
+    :func:`load_policy`.
 
     Args:
-        policy: deterministic, stochastic, cost-aware, by cost levels, timed, a lottery, or one that
-            carries the memory of a product.
+        policy: any policy of this library, such as that of a solution, or a lottery over such
+            policies.
         path: name of the file, ``policy.npz``, without a further ending.
 
     Raises:
@@ -350,14 +350,15 @@ def save_policy(policy: AnyPolicy, path: FilePath) -> None:
 
 @explained
 def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
-    """Read a policy from its archive, on the model that it was made for or an equal one.
+    """Read a policy from its archive. The model must equal the one that the policy was made for.
 
     With equal seeds, the saved policy and the policy that is returned play equal episodes.
 
     Args:
         path: a file of :func:`save_policy`.
-        model: the model; for a policy that carries the memory of a product, the product. For a
-            policy that counts the steps of a horizon, the product is rebuilt.
+        model: the model that the policy acts on. If the policy carries the memory of a product,
+            give the product. For a policy with a horizon give the model itself: its product is
+            rebuilt.
         check: False: the model may differ (other probabilities, costs or names), as long as every
             state has as many actions as before.
 
@@ -407,7 +408,11 @@ def _policy_in(
     parts: list[AnyPolicy] = []
 
     def meant(value: Any) -> Any:
-        """Return a field's value: a named array, policies with listed numbers, or a number."""
+        """Return the value that a field's entry stands for.
+
+        A string is the name of an array. A whole number is the number of a policy, and a list holds
+        such numbers. Any other entry is the value itself.
+        """
         if isinstance(value, str):
             return arrays[value]
         if isinstance(value, list):
@@ -437,10 +442,9 @@ _CLASSES: dict[str, type[Any]] = {
 
 
 class _PolicyRecords:
-    """Records of a policy and of the policies that it contains, which come before it."""
+    """Records of a policy and of the policies that it contains; the contained ones come first."""
 
     def __init__(self) -> None:
-        """Begin an archive without records."""
         self.arrays: dict[str, Array] = {}
         self._records: list[dict[str, Any]] = []
         self._models: dict[int, SSP] = {}  # id -> model of a part
@@ -487,7 +491,9 @@ class _PolicyRecords:
         return name
 
     def _add(self, policy: AnyPolicy) -> int:
-        """Return the number of a policy's record; add a new policy after those it contains.
+        """Return the number of a policy's record, which is added if the policy has none yet.
+
+        Records of the policies that it contains are added first.
 
         Raises:
             ModelError: the policy or a part of it is of an unsupported class.
@@ -509,7 +515,7 @@ class _PolicyRecords:
         return self._numbers.setdefault(id(policy), len(self._records) - 1)
 
     def _stated(self, value: Any) -> Any:
-        """Return a field's value for JSON: an array's name, numbers of policies, or a number."""
+        """Return the entry that stands for a field's value; see ``meant`` in ``_policy_in``."""
         if isinstance(value, np.ndarray):
             return self.add_array(value)
         if isinstance(value, (Policy, MixedPolicy)):
@@ -534,7 +540,7 @@ def save_solution(solution: Solution, path: FilePath) -> None:
         path: name of the file, ``solution.npz``, without a further ending.
 
     Raises:
-        ModelError: its policy is of a class that cannot be saved.
+        ModelError: the solution's policy is of a class that cannot be saved.
     """
     as_solved(solution, "save_solution")
     problem, records, values = solution.problem, _PolicyRecords(), solution.value_function
@@ -586,7 +592,7 @@ def load_solution(path: FilePath, problem: Problem) -> Solution:
 
 
 def _solution_words(problem: Problem) -> dict[str, Any]:
-    """Return the arguments of a problem that an archive stores to check a problem against them."""
+    """Return the arguments of a problem that are stored with its solution, by name."""
     semantics, measure = problem.semantics, problem.semantics.measure
     return {
         "criterion": type(problem).__name__,
@@ -603,7 +609,10 @@ def _solution_words(problem: Problem) -> dict[str, Any]:
 
 
 def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[Any, Any]) -> None:
-    """Raise :class:`ModelError` unless a problem has the arguments that an archive stores."""
+    """Raise :class:`ModelError` unless a problem has the arguments stored with a solution.
+
+    ``kept`` has the stored arguments by name, and ``start`` is the stored start, [states].
+    """
     for name, stated in _solution_words(problem).items():
         saved = kept[name]
         same = saved == stated
@@ -626,11 +635,15 @@ _PIECE = 1 << 20
 def fingerprint(model: SSP) -> str:
     """Return the SHA-256 of a model's content, in hexadecimal, cached with the model.
 
-    It depends on the order of pairs and outcomes; on successors, probabilities, and costs with the
-    fractions that they stand for; on goals; on the labels of states, actions and sets of states;
-    and for a product on the original model. It does not depend on the types of arrays, the
-    machine's byte order, the sign of zero, or whether state labels 0, 1, ... were given or are the
-    default.
+    Equal fingerprints mean equal models. The hash depends on
+
+    - the order of pairs and outcomes;
+    - successors, probabilities and costs, with the fractions that costs stand for;
+    - goals, and the labels of states, actions and sets of states;
+    - for a product, the original model.
+
+    The hash does not depend on the types of arrays, the machine's byte order, the sign of zero, or
+    whether state labels 0, 1, ... were given or are the default.
 
     Each part is hashed as ``name length``, a line feed and its content: arrays as 8-byte
     little-endian whole numbers or IEEE doubles, the rest as JSON with sorted keys.
@@ -679,7 +692,10 @@ def fingerprint(model: SSP) -> str:
 
 @kept
 def pair_print(model: SSP) -> str:
-    """Return the SHA-256 of the number of actions of each state, which a policy must fit."""
+    """Return the SHA-256 of the numbers of actions of all states.
+
+    A policy can be loaded on a model only if these numbers are those of its own model.
+    """
     digest = sha256(b"ssp-lp pairs 1")
     _hash_array(digest.update, "pair_offsets", model.pair_offsets)
     return digest.hexdigest()
@@ -721,7 +737,7 @@ def stated_value(label: Hashable) -> Any:
     """Return a value as JSON that is equal in every process.
 
     Labels are as in :func:`label_value`. Sets, fractions, members of enumerations and dataclasses
-    become objects that name them.
+    become JSON objects with their class.
 
     Raises:
         ModelError: it is or contains any other value.

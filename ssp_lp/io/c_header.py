@@ -1,9 +1,9 @@
 """A policy as one C99 header: tables, and a function that looks up actions, without allocation.
 
 ``policy.h`` beside this file is the template of the header. States and actions are numbers, in the
-order of the model. The caller keeps the total cost paid in an episode. A small struct holds the
-rest of its memory: the member of the lottery that plays, the tail policy followed beyond the cap,
-whether the policy has given up, and the level to which the total was rounded.
+order of the model. The caller stores the total cost paid in an episode. The rest of the policy's
+memory is a small struct: the member of the lottery that was drawn, the tail policy followed beyond
+the cap, whether the policy has given up, and the level to which the total was rounded.
 """
 
 from __future__ import annotations
@@ -103,14 +103,14 @@ def write_c_header(policy: Policy | MixedPolicy, path: FilePath, *, name: str = 
 
 
 def _member_fields(stated: Mapping[str, Any], policy: Policy) -> dict[str, Any]:
-    """Return the fields of the C struct of a lottery's member, except its share ``upto``.
+    """Return the fields of the C struct of a lottery's member, except for its weight.
 
     Args:
         stated: the member as a controller's file describes it.
         policy: the member.
 
     Returns:
-        Field -> number, or list of the numbers of a table.
+        Name of each field -> a number, or the list of numbers of a table.
 
     Raises:
         ModelError: the struct does not support the member's memory.
@@ -155,7 +155,6 @@ _A_LINE = 24  # numbers
 
 
 def _c_table(name: str, kind: str, values: IntArray | FloatArray) -> str:
-    """Return a table as C code."""
     words = [repr(value) for value in values.ravel().tolist()]
     lines = (words[k : k + _A_LINE] for k in range(0, len(words), _A_LINE))
     body = ",\n    ".join(", ".join(line) for line in lines)

@@ -6,38 +6,40 @@ This file may be copied onto a robot by itself; it needs no other part of ssp-lp
 - ``format``: "ssp-lp controller"; ``version``: 1; ``model``: the model's fingerprint;
 - ``checksum``: the SHA-256 of all other entries, as JSON with sorted keys and no blanks;
 - ``goals``, ``dead_ends``: the numbers of these states;
-- ``states``: the labels of the states, or their number if they are 0, 1, ...; tuples as lists;
+- ``states``: the labels of the states, or how many states there are if the labels are 0, 1, ...;
+  tuples are written as lists;
 - ``actions``: the labels of the actions;
-- ``members``: the policies of a lottery, of which one is drawn for each episode, each with
+- ``members``: the policies of a lottery; one is drawn for each episode. Each has
 
   - ``weight``: its probability;
   - ``ends``: the numbers of the states in which an episode of this policy is over;
   - ``memory``: null, or an object whose ``kind`` is
 
-    - "layers": the cost paid, as a number of layers of size ``unit``; costs are rounded up to
-      whole layers if ``rounds_up``. Once the number reaches ``cap``, the memory is ``cap`` plus the
-      number of one of ``tails`` tail policies: the last one if the layer has reached the state's
-      ``threshold`` (null: never), else the first. If ``levels`` is not null, it lists totals, the
-      last of which is at the cap: the new layer is the level nearest to the old level plus the
-      cost of the step, and thresholds are totals. ``acting``: for each state 1 if the memory is
-      updated on entering it, else 0;
-    - "steps": the number of steps taken. After the step number ``steps`` it is ``steps`` + 1 if
-      the successor is ``acting`` (1 or 0 for each state), which means out of time;
+    - "layers": the cost paid, as a number of layers of size ``unit``; the cost of a step is rounded
+      up to whole layers if ``rounds_up``. Below ``cap`` the memory is this number. Once the number
+      reaches ``cap``, the memory is ``cap`` + k for good, where k is the number of one of ``tails``
+      tail policies: the last one if the number has reached the state's ``threshold`` (null: never),
+      else the first one. If ``levels`` is not null, number k stands for the total cost levels[k]
+      instead, the last level is at the cap, a step leads to the level nearest to the old level plus
+      its cost, and this sum is compared with the threshold. ``acting``: for each state 1 if a step
+      into it updates the memory, else 0;
+    - "steps": the number of steps taken, at most ``steps``. After the last step it is ``steps`` + 1
+      ("out of time") if the successor is ``acting`` (for each state 1 or 0);
     - "task": a number, initially ``start``. ``moves`` lists the steps that change it: [number,
-      state, action, successor, cost, next number], where the cost is null if any cost will do;
-    - "failing": 1 if the run has failed, else 0. It fails by an action in a state of ``lost``, and
-      by an action taken with giving up: with n actions, the position n + k in ``decision`` stands
-      for action k with giving up. The step that fails adds the state's ``charge`` to the cost in
-      the inner memory, and later steps add nothing;
+      state, action, successor, cost, next number]; a cost of null stands for any cost;
+    - "failing": 1 if the run has failed, else 0. A run fails by any action in a state of ``lost``,
+      and by an action taken with giving up: with n actions, the position n + k in ``decision``
+      means action k with giving up. For the inner memory the step that fails costs the state's
+      ``charge``, and later steps cost nothing;
 
-    The memories "steps", "task" and "failing" also have ``place``: [number][state], the index of
-    the pair (number, state), -1 if it does not occur; and ``inner``: null, or a further memory, in
-    which these indices take the place of states;
-  - ``decision``: [memory][state], for the values of the innermost memory and its states: the
-    position of an action, -1 to give up, -2 for no decision, or a list of [position, probability];
-  - ``otherwise`` and ``afterwards``, only in a policy that acts everywhere: [state], the position
-    of the action taken where ``decision`` has none, and of the action taken after the policy has
-    given up or its episode is over; -2 for none.
+    The memories "steps", "task" and "failing" have two more entries. ``place``: [number][state], an
+    index for each pair (number, state), -1 for a pair that does not occur. ``inner``: null, or a
+    further memory, whose states are these indices;
+  - ``decision``: [value of the innermost memory][state of that memory]: the position of an action,
+    -1 to give up, -2 for no decision, or a list of [position, probability];
+  - ``otherwise`` and ``afterwards``, only in a policy that acts everywhere: the position of an
+    action for each state, -2 for none. ``otherwise`` is taken where ``decision`` has no action, and
+    ``afterwards`` once the policy has given up or its episode is over.
 """
 
 from __future__ import annotations
@@ -67,8 +69,8 @@ _OFF_LATTICE = 1e-6  # of a unit: far above the rounding of a sum of costs, far 
 class Controller:
     """A policy that is read from a file and plays an episode.
 
-    Several controllers of one file play several episodes side by side. ``model`` is the fingerprint
-    of the model that the policy was made for.
+    Several controllers of one file can play several episodes side by side. The attribute ``model``
+    is the fingerprint of the policy's model.
 
     Args:
         path: a file of ``write_controller``.
@@ -107,8 +109,9 @@ class Controller:
         Args:
             seed: seed of the lottery and of random actions; None: continue with the generator.
             world: "model": it is an error to ask for an action in a state other than the observed
-                one, or to observe twice after one action. "other": both are accepted. In
-                both cases observed steps are not compared with the model, which is not in the file.
+                one, or to observe twice after one action. "other": both are accepted. In both cases
+                observed steps are not compared with the model, because the file does not contain
+                it.
 
         Raises:
             ValueError: another value of ``world``.
@@ -135,10 +138,10 @@ class Controller:
         return self._failed
 
     def action(self, state: Hashable) -> Hashable:
-        """Return the action in this state; "give up" or None once the episode is over.
+        """Return the action in this state; once the episode is over, return "give up" or None.
 
-        The episode is over after giving up, or at a goal or a dead-end, unless the policy has
-        decisions there; ``failed`` is True once the goal is given up.
+        The episode is over after giving up ("give up"), and at a goal or a dead-end (None). If the
+        policy has decisions after failing, the episode goes on instead, and ``failed`` is True.
 
         Raises:
             ValueError: the state is unknown, is not the observed one, or has no decision.
@@ -173,7 +176,7 @@ class Controller:
         return state in member["ends"]
 
     def _begin(self, state: int) -> None:
-        """Set the memory of an episode that begins in a state."""
+        """Set the initial memory of an episode that begins in this state."""
         member, self._memory = self._current(), 0
         try:
             self._memory = _start_memory(member["memory"], state)
@@ -183,7 +186,7 @@ class Controller:
             self._alone = 2
 
     def _choice(self, state: int) -> int:
-        """Return the position of the action in a state, or a negative code."""
+        """Return the number of the action in a state, or a negative code; draw a random action."""
         member, is_over = self._current(), self._alone == 1
         acts = "otherwise" in member
         is_over |= acts and state in member["ends"]
@@ -204,7 +207,7 @@ class Controller:
         return int(member["otherwise"][state] if acts and choice < 0 else choice)
 
     def observe(self, successor: Hashable, cost: float) -> None:
-        """Update the memory by the successor and the cost of a step.
+        """Update the memory, given the successor and the cost of the last step.
 
         Raises:
             ValueError: unknown state, an episode that is over, an action that was observed already,
@@ -255,13 +258,13 @@ class Controller:
 
 
 def controller_checksum(content: dict[str, Any]) -> str:
-    """Return the SHA-256 of all entries but the checksum, as compact JSON with sorted keys."""
+    """Return the SHA-256 of all entries except the checksum, as compact JSON with sorted keys."""
     hashed = {name: value for name, value in content.items() if name != "checksum"}
     return sha256(json.dumps(hashed, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def controller_label(value: Any) -> Hashable:
-    """Return the label that a JSON value stands for: lists are tuples."""
+    """Return the label that a JSON value stands for: a tuple for a list, else the value."""
     if isinstance(value, list):
         return tuple(controller_label(part) for part in value)
     return cast("Hashable", value)
@@ -279,7 +282,7 @@ def _start_memory(memory: dict[str, Any] | None, state: int) -> Any:
 
 
 def _place_of(memory: dict[str, Any], number: int, state: int) -> int:
-    """Return the index of the pair (number of a memory, state) in the file's ``place``.
+    """Return the index of (number, state) in the file's ``place``; number is a memory's value.
 
     Raises:
         ValueError: the policy does not have this memory in this state.
@@ -363,9 +366,10 @@ def _number_after(
 
 
 def _layer_or_tail(memory: dict[str, Any], layer: int, reached: float, state: int) -> int:
-    """Return the memory at a layer: below the cap the layer, from there the code of a tail.
+    """Return the memory at a number of layers: the number itself below the cap, else a tail's code.
 
-    The tail is the last one if ``reached`` is at least the state's threshold, else the first one.
+    Tail k has the code cap + k. The last tail is taken if ``reached`` is at least the state's
+    threshold, else the first one.
     """
     threshold, cap = memory["threshold"][state], int(memory["cap"])
     if layer < cap:

@@ -92,7 +92,10 @@ def controller_member(policy: Policy) -> dict[str, Any]:
 
 
 def _positions(model: SSP, codes: Mapping[Hashable, int], pairs: IntArray) -> IntArray:
-    """Return the file's number of each pair's action; negative codes are returned unchanged."""
+    """Return the number in the file of each pair's action; negative codes stay unchanged.
+
+    ``codes`` maps the label of an action to its number in the file.
+    """
     action = np.array([codes[name] for name in model.action_names] or [0])
     action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
     return np.where(pairs < 0, pairs, action[np.maximum(pairs, 0)])
@@ -143,7 +146,7 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
 
 
 def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, Any]:
-    """Return the memory of a product as a controller's file describes it: how steps change it."""
+    """Return the entries of a controller's file that say how steps change a product's memory."""
     if isinstance(product, HorizonSSP):
         acting = np.diff(product.original.pair_offsets) > 0
         return {"kind": "steps", "steps": product.steps, "acting": acting.astype(int).tolist()}
@@ -175,7 +178,10 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
 
 
 def _labelled_codes(product: FailureSSP, codes: Mapping[Hashable, int]) -> dict[Hashable, int]:
-    """Return the numbers of actions; with n actions, action k with giving up is number n + k."""
+    """Return the number of each action of a product with the failure label.
+
+    With n actions, the number of action k is k, and n + k if it is taken with giving up.
+    """
     names = product.original.action_names
     giving_up = zip(product.action_names[len(names) :], names, strict=True)
     return {**codes, **{name: len(codes) + codes[own] for name, own in giving_up}}

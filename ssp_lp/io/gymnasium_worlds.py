@@ -65,7 +65,7 @@ _SAY_GOALS = "say which states are goals: ", Argument("goal")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnvironmentSSP(SSP):
-    """The model of an environment, with the costs of the environment's steps."""
+    """The model of an environment; ``step_cost`` is the function that gives the cost of a step."""
 
     step_cost: CostFunction = field(kw_only=True)
 
@@ -77,11 +77,15 @@ class EnvironmentSSP(SSP):
         )
 
     def label(self, state: Hashable, terminated: bool) -> Hashable:
-        """Return the model's state for a state of the environment after a step."""
+        """Return the model's state that stands for a state of the environment after a step.
+
+        If only some steps into a state terminate, a step that does so leads to the end of the
+        state, ("end", state).
+        """
         return (END, state) if terminated and state in self.ends else state
 
     def ends_among(self, listed: Callable[[Any], bool], label: Any) -> bool:
-        """Return whether a model state stands for a listed state in which episodes terminate.
+        """Return whether a state of the model means that an episode ended in a listed state.
 
         Args:
             listed: predicate on states of the environment.
@@ -106,13 +110,13 @@ class EnvironmentSSP(SSP):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GridSSP(EnvironmentSSP):
-    """A model of an environment with coordinates as states; the model's states are grid cells."""
+    """A model of an environment whose states are coordinates; the model's states are grid cells."""
 
     world: ContinuousModel = field(kw_only=True)
     is_goal: Callable[[Any], bool] = field(kw_only=True)  # of a point in which it terminates
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle a plain model: an environment's steps belong to one process."""
+        """Pickle as a plain SSP, since the environment cannot leave its process."""
         return partial(SSP, **fields_of(self, SSP)), ()
 
     def seen(self, env: Any, observation: Any) -> tuple[float, ...]:
@@ -120,7 +124,7 @@ class GridSSP(EnvironmentSSP):
         return tuple(map(float, env.unwrapped.state))
 
     def label(self, state: Any, terminated: bool) -> int:
-        """Return the cell of a point, or the state of an end."""
+        """Return the cell of a point, or after the last step the state of the goal or dead-end."""
         if terminated:
             return self.world.end_state("goal" if self.is_goal(state) else FAILED)
         is_inside = _is_in_box(self.world.grid, state)
@@ -175,13 +179,13 @@ def from_gymnasium(
         horizon: "env": the goal must be reached within the environment's own step limit
             (``TimeLimit``), if it has one, so that certificates hold in the environment; a number:
             within this number of steps; None: at any time (`rollout` reports truncated episodes).
-        start: a state or ``{state: probability}``; None: the environment's own distribution. With
-            a grid it is a point, or ``{point: probability}``.
+        start: a state or ``{state: probability}``; None: the environment's own distribution. With a
+            grid it is a point, or ``{point: probability}``.
         grid: for an environment whose state is an array of coordinates (MountainCar, CartPole): a
             box of the coordinates and its cells. ``goal`` is then a predicate on the points in
-            which the environment terminates, or a set of cells of the grid. "env" means no horizon
-            then: give the number of steps. In each cell steps are tried from a lattice of points,
-            three along each coordinate.
+            which the environment terminates, or a set of cells of the grid, and ``horizon="env"``
+            means no horizon: give the number of steps. In each cell steps are tried from a lattice
+            of points, three along each coordinate.
         survive: whether an episode that has not ended by the horizon has reached the goal.
         dead_ends: the states, other than goals, in which the environment terminates, or a predicate
             on states; if one is missing here, that is an error. With a grid: "failed" and
@@ -242,7 +246,9 @@ def from_gymnasium(
 
 
 def _predicate(table: _Table, name: str, listed: StateSet | None) -> Callable[[Any], bool] | None:
-    """Return the predicate of a set of the environment's states; a predicate is returned as it is.
+    """Return the predicate of a set of the environment's states, None without a set.
+
+    ``name`` is the argument that gives the set, for errors. A predicate is returned unchanged.
 
     Raises:
         ModelError: a state that the table does not have.
@@ -262,7 +268,6 @@ def _is_in_cells(grid: Grid, cells: Container[Hashable], point: tuple[float, ...
 
 
 def _is_in_box(grid: Grid, point: tuple[float, ...]) -> bool:
-    """Return whether a point lies in the box of a grid."""
     return not grid.misses(grid.heights(tuple(map(np.asarray, point)))).any()
 
 
@@ -428,7 +433,7 @@ def _values(listed: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return a number of numpy as one of Python; other values unchanged."""
+    """Return a number of numpy as a number of Python, and any other value unchanged."""
     return value.item() if isinstance(value, np.generic) else value
 
 
@@ -535,7 +540,10 @@ def _model_of_table(
 def _costs_of_outcomes(
     table: _Table, kept: IntArray, cost: CostFunction
 ) -> tuple[npt.ArrayLike, dict[float, Fraction]]:
-    """Return the costs of outcomes ``kept`` of a table, and the fractions behind their floats."""
+    """Return the costs of some outcomes of a table, and the fraction that each float stands for.
+
+    ``kept`` has the indices of the outcomes. Only costs given as fractions are in the dict.
+    """
     if cost is _step_cost:
         return 1.0, {}
     if cost is _reward_cost:
@@ -551,7 +559,9 @@ def _costs_of_outcomes(
 
 
 def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
-    """Return a mask of states in which the environment terminates with a reward, [states].
+    """Return a mask of the states in which the environment terminates with a reward, [states].
+
+    ``steps`` are the indices of the outcomes to consider.
 
     Raises:
         ModelError: no step that terminates is rewarded, or some steps into a state are and others
@@ -630,12 +640,12 @@ def rollout(
 
     A lottery draws one member for each episode. An episode ends at a goal or a dead-end of the
     model, when the policy gives up, or when it is cut off: by the environment, by the policy's
-    horizon, or after ``max_steps``. A policy with decisions after failing goes on with these; the
-    episode then counts as failed in any case.
+    horizon, or after ``max_steps``. If the policy has decisions after failing, a failed episode
+    goes on, and counts as failed whatever follows.
 
     Args:
-        env: the environment; it is reset before each episode, and not closed. One that renders each
-            step, or a wrapper that records, shows the policy at play.
+        env: the environment; it is reset before each episode, and not closed. An environment that
+            renders each step, or a wrapper that records, shows the policy at play.
         policy: a policy of a problem on ``from_gymnasium(env).model``, or on a product with it.
         episodes: number of episodes.
         seed: seed of the environment and of the policy's draws; equal seeds give equal episodes.
@@ -714,7 +724,7 @@ class _Player:
         self.ended = cache(lambda member: member.ended)  # [states], whatever came before
 
     def decide(self, member: Policy, state: int, memory: int) -> tuple[int, int]:
-        """Draw a pair, or GIVE_UP_CODE, and return it with the memory after that decision."""
+        """Draw a decision, a pair or GIVE_UP_CODE; return it and the memory after it."""
         pairs, kept, cumulative = self._branches(member, state, memory)
         drawn = 0
         if len(pairs) > 1:
@@ -724,7 +734,7 @@ class _Player:
     def _branches_of(
         self, member: Policy, state: int, memory: int
     ) -> tuple[list[int], list[int], list[float]]:
-        """Return the possible decisions: pairs, memories after them, cumulative probabilities."""
+        """Return the possible decisions: pairs, memories after each, cumulative probabilities."""
         branches = member.branches(np.array([state]), np.array([memory]))
         kept = branches.kept(np.array([memory]))
         if UNDECIDED in branches.pair:
@@ -736,7 +746,7 @@ class _Player:
 
 
 def _memory_after(member: Policy, memory: int, pair: int, state: int, cost: float) -> int:
-    """Return the memory of a policy after a step by a pair to a state."""
+    """Return the memory of a policy after a step by the given pair into the given state."""
     step = (np.array([part]) for part in (memory, pair, state, cost))
     return int(member.remember(*step)[0])
 

@@ -106,7 +106,15 @@ def _matrix(matrix: Any) -> Any:
 def _paid_by_matrix(
     given: Any, state: IntArray, action: IntArray, target: IntArray, matrices: Sequence[Any]
 ) -> FloatArray:
-    """Return each outcome's cost or reward from an array of any supported shape, [outcomes]."""
+    """Return the cost or reward of each outcome, [outcomes], from an array of any supported shape.
+
+    Args:
+        given: the costs or rewards.
+        state: state of each outcome, [outcomes].
+        action: index of the action, [outcomes].
+        target: successor, [outcomes].
+        matrices: the transition matrix of each action, for their shape.
+    """
     n_states, n_actions = matrices[0].shape[0], len(matrices)
     if isinstance(given, (list, tuple)) and any(sp.issparse(part) for part in given):
         if len(given) != n_actions or any(part.shape != matrices[0].shape for part in given):

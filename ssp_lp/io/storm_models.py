@@ -71,20 +71,21 @@ def read_with_storm(
 ) -> ModelFile:
     """Read a program in PRISM's language or in JANI through Storm.
 
-    States are tuples of the values of their variables, in Storm's order (in JANI followed by the
-    names of locations, if an automaton has several); actions have their labels; costs are those of
-    :func:`~ssp_lp.io.from_stormpy`, PRISM's rewards of states and of actions. All rewards are
-    ``named_costs``, except those that Storm cannot build or that are negative somewhere. Storm
-    cannot build JANI's rewards that differ between outcomes of an action, only their average.
+    A state is the tuple of its variables' values, in Storm's order. In JANI the names of locations
+    follow, if an automaton has several. Actions have the program's labels. The cost of an outcome
+    is the sum of the rewards of its state and its action, as in :func:`~ssp_lp.io.from_stormpy`.
+    All rewards become ``named_costs``, except those that Storm cannot build or that are negative
+    somewhere. If a reward in JANI differs between outcomes of an action, Storm builds only the
+    average.
 
     Args:
         path: the file; its ending is .prism, .nm or .pm for PRISM's language, or .jani.
         goal: a label, or a condition on the variables such as "x=4 & !broken".
-        cost: name of a reward model ("" for PRISM's without a name), or of a transient variable
-            of JANI; None: the only one, or 1 for each action if there is none.
+        cost: name of a reward model ("" for PRISM's without a name), or of a transient variable of
+            JANI; None: the only one, or 1 for each action if there is none.
         constants: values of the constants that the program leaves open, as text or by name.
-        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
-            Any other state without actions that is not a goal is then an error.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate. Any
+            other state without actions that is not a goal is then an error.
 
     Returns:
         The model and its initial states.
@@ -162,7 +163,7 @@ def _explored_program(
 
 
 def _is_jani(program: Any) -> bool:
-    """Return whether a program of stormpy is in JANI; False for one of PRISM's, or none."""
+    """Return whether a program of stormpy is in JANI; False for a program of PRISM, or None."""
     return type(program).__name__ == "JaniModel"  # its module depends on the version of stormpy
 
 
@@ -177,12 +178,12 @@ def _reward_names(program: Any) -> list[str]:
 def _with_most_rewards(
     built: Callable[[list[str] | None], Any], names: list[str], place: int | None, program: Any
 ) -> Any:
-    """Return Storm's model with all rewards, or with those that Storm can build.
+    """Return Storm's model with all rewards, or with as many as Storm can build.
 
     Args:
-        built: builds the model with some rewards; None: with all.
+        built: function that builds the model with the named rewards; None: with all.
         names: names of the rewards.
-        place: position of the required reward; None: no reward is required.
+        place: position of a reward that is required; None: none is.
         program: program of stormpy.
 
     Raises:
@@ -206,7 +207,7 @@ def _with_most_rewards(
 
 
 def _differs_between_outcomes(program: Any, cost: str) -> bool:
-    """Return whether destinations of one edge of a JANI program assign different costs."""
+    """Return whether some edge of a JANI program assigns different costs at its destinations."""
 
     def paid(destination: Any) -> float | str:
         """Return the value assigned at a destination; as text if it is not a number."""
@@ -247,16 +248,16 @@ def from_stormpy(
     The cost of an outcome is the sum of Storm's rewards of its state, its action and its
     transition, added as decimals. Actions have the labels of choices, states the values of their
     variables, if the model was built with them; otherwise both are numbers. Actions of goal states
-    are dropped. If no action leaves a state with the label "deadlock", its actions are dropped: it
-    is a dead-end. Other labels of states become ``state_labels``, except for names that reports use
+    are dropped. A state with the label "deadlock" that no action leaves becomes a dead-end without
+    actions. Other labels of states become ``state_labels``, except for names that reports use
     already, and conditions that were passed to Storm: "(x = 2)".
 
     Args:
         model: such as ``stormpy.build_model(program)``; its numbers are floats.
         goal: the label of the goal states, or a formula of labels, '"a" & !"b"'.
         cost: name of a reward model; None: the only one, or 1 for each action if there is none.
-        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
-            Any other state without actions that is not a goal is then an error.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate. Any
+            other state without actions that is not a goal is then an error.
 
     Returns:
         The model and its initial states.
@@ -322,12 +323,12 @@ def _model_of_storm(
 def _state_names(
     archive: UmbArchive, added: Mapping[str, Sequence[str] | None]
 ) -> Sequence[Hashable] | None:
-    """Return the tuple of each state's variables in Storm's order; None if tuples are repeated.
+    """Return the tuple of each state's variables in Storm's order; None if two tuples are equal.
 
     Args:
         archive: archive of Storm.
-        added: variables that Storm added, with the names of their values, or None to leave the
-            variable out of the tuples.
+        added: variables that Storm added. A variable is mapped to the names of its values, or to
+            None if it is left out of the tuples.
     """
     variables, columns = archive.variables(), list[list[Hashable]]()
     beyond = [name for name in variables if name.rstrip("_") == _BEYOND]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import re
-import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from itertools import pairwise
@@ -21,13 +20,9 @@ from ssp_lp.linear_programming.linear_program import POLL, LinearProgram, LPAnsw
 
 HighsOptions = dict[str, bool | int | float | str]
 
-_DOUBTED = (
-    highspy.HighsModelStatus.kUnbounded,
-    highspy.HighsModelStatus.kUnboundedOrInfeasible,
-    highspy.HighsModelStatus.kUnknown,
-    highspy.HighsModelStatus.kInfeasible,
-)
+_OPTIMAL, _LATE = highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kTimeLimit
 _BASIC, _NONBASIC = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kNonbasic
+_MAGNIFIED = 1e5  # factor of all bounds in the second run of ``solve_with_highs``
 _NUMBERED = "x"  # prefix of a column's number, with which its name begins
 ENDINGS = (".mps", ".lp", ".mps.gz", ".lp.gz")
 
@@ -47,24 +42,41 @@ def solve_with_highs(
     IPX ignores the time limit. The name ``ipm`` is avoided, because it means another solver if
     ``highspy-extras`` is installed.
 
+    HiGHS's tolerance of rows is absolute. Late states of long runs have fewer visits than it, so
+    the last basis may not be optimal, with prices that are wrong by 2e-5. The simplex continues
+    from this basis on the program with all bounds multiplied by a large factor.
+
     Args:
         backend: "highs-simplex" or "highs-ipx".
         time_limit: seconds.
-        basis: basis of an answer to a program of this shape, from which the simplex starts. Then it
-            stops after a limited number of steps, perhaps before the optimum, because a cold start
-            would be about as fast.
+        basis: basis of an answer to a program of this shape, from which the simplex starts. It then
+            stops after a limited number of steps, perhaps before the optimum: a start without a
+            basis would be about as fast as more steps.
 
     Raises:
         SolverError: HiGHS refuses an option or the model.
     """
-    began = time.perf_counter()
     solver = _solved_by_highs(program, backend, time_limit, basis)
+    answer, bounds = _answer(solver, backend), np.stack([program.lower, program.upper])
+    if answer.basis is not None and solver.getModelStatus() == _OPTIMAL:
+        solver.setOptionValue("solver", "simplex")
+        solver.setOptionValue("simplex_iteration_limit", bounds.size)
+        for row in np.flatnonzero(bounds.any(axis=0)).tolist():
+            solver.changeRowBounds(row, *(_MAGNIFIED * bounds[:, row]))
+        run_highs(solver)
+        if solver.getModelStatus() == _OPTIMAL:
+            answer = _answer(solver, backend, _MAGNIFIED)
+    return answer
+
+
+def _answer(solver: highspy.Highs, backend: str, factor: float = 1.0) -> LPAnswer:
+    """Return the solution of a program whose bounds were multiplied by a factor."""
     solution, last = solver.getSolution(), solver.getBasis()
-    x, dual = np.array(solution.col_value, float), np.array(solution.row_dual, float)
-    statuses = [*last.col_status, *last.row_status] if last.valid else []
-    basis = np.array([each == _BASIC for each in statuses]) if statuses else None
-    status, took = solver.modelStatusToString(solver.getModelStatus()), time.perf_counter() - began
-    return LPAnswer(backend, x, dual, status, took, basis)
+    x, dual = np.array(solution.col_value, float) / factor, np.array(solution.row_dual, float)
+    statuses = [each == _BASIC for each in (*last.col_status, *last.row_status)]
+    basis = np.array(statuses) if last.valid and statuses else None
+    status = solver.modelStatusToString(solver.getModelStatus())
+    return LPAnswer(backend, x, dual, status, solver.getRunTime(), basis)
 
 
 def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple[float, float]]:
@@ -113,8 +125,8 @@ def _solved_by_highs(
         solver.setBasis(begun)  # if refused, HiGHS starts without one
     run_highs(solver)
     status, broken = solver.getModelStatus(), solver.getInfo().max_primal_infeasibility
-    is_optimal = status == highspy.HighsModelStatus.kOptimal
-    if basis is None and (broken > RESIDUAL if is_optimal else status in _DOUBTED):
+    is_doubted = broken > RESIDUAL if status == _OPTIMAL else status != _LATE
+    if basis is None and is_doubted:
         solver.setOptionValue("presolve", "off")
         solver.clearSolver()
         run_highs(solver)
@@ -134,8 +146,9 @@ def minimiser(program: LinearProgram) -> Callable[[FloatArray], float]:
         solver.changeColsCost(cost.size, np.arange(cost.size, dtype=np.int32), cost)
         for _ in range(2):
             run_highs(solver)
-            if solver.getModelStatus() == highspy.HighsModelStatus.kOptimal:
+            if solver.getModelStatus() == _OPTIMAL:
                 return float(cost @ solver.getSolution().col_value)
+            solver.setOptionValue("presolve", "off")
             solver.clearSolver()  # the last basis may be a bad beginning
         return float("nan")
 
@@ -176,22 +189,18 @@ def run_highs(solver: highspy.Highs) -> None:
         KeyboardInterrupt: Ctrl-C was pressed.
     """
     solver.HandleUserInterrupt = True
-    if _run_beside(solver) == highspy.HighsStatus.kError:
+    for _ in range(2):
+        solver.startSolve()
+        try:
+            while not (ended := solver.wait(POLL))[0]:
+                pass
+        except KeyboardInterrupt:
+            solver.cancelSolve()  # type: ignore[no-untyped-call]
+            solver.wait()
+            raise
+        if ended[1] != highspy.HighsStatus.kError:
+            return
         solver.setOptionValue("threads", 0)
-        _run_beside(solver)
-
-
-def _run_beside(solver: highspy.Highs) -> highspy.HighsStatus | None:
-    """Run HiGHS in a separate thread and return its status."""
-    solver.startSolve()
-    try:
-        while not (ended := solver.wait(POLL))[0]:
-            pass
-    except KeyboardInterrupt:
-        solver.cancelSolve()  # type: ignore[no-untyped-call]
-        solver.wait()
-        raise
-    return ended[1]
 
 
 def highs_lp(program: LinearProgram) -> highspy.HighsLp:

@@ -127,7 +127,7 @@ def answer_faults(program: LinearProgram, answer: LPAnswer) -> tuple[float, floa
 
 
 def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> Table | None:
-    """Return a program as a table with a line for each column, then its bounds; None if too wide.
+    """Return a program as a table: a line for each column, then one of bounds; None if too wide.
 
     Args:
         program: the program.
@@ -184,7 +184,6 @@ def words_as_latex(words: str) -> str:
 
 
 def _latex_text(text: str) -> str:
-    """Return text with LaTeX's special characters escaped."""
     escaped = re.sub(r"([#$%&_{}])", r"\\\1", text.replace("\\", "/"))
     return re.sub(r"([~^])", r"\\\1{}", escaped)
 

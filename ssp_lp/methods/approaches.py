@@ -1,8 +1,7 @@
 """The table of approaches: each solves a class of problems and proves its solutions.
 
-An approach has a test of the cases that it can solve. ``solve`` and ``certify`` take the first
-approach of the table whose test accepts the case.
-:func:`refusal` explains why a method does not support a problem.
+Each approach says which cases it can solve. ``solve`` and ``certify`` take the first one in the
+table that can solve the case. :func:`refusal` explains why a method does not support a problem.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from ssp_lp.solution import Solution
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A problem to solve, or a solution to prove."""
+    """A problem to solve, or the problem of a solution whose bound must be proved."""
 
     problem: Problem
     seconds: float = np.inf  # time left
@@ -53,10 +52,10 @@ class Case:
 
     @staticmethod
     def of_solution(solution: Solution) -> Case:
-        """Return the case of proving a solution.
+        """Return the case of proving the bound of a solution.
 
-        A solution without a value function may come from split costs, for lack of time. Its case
-        therefore has no time left.
+        A solution without a value function may have been found with split costs, because time was
+        short. Its case has no time left, so that the proof splits the costs as well.
         """
         seconds = 0.0 if solution.value_function is None else np.inf
         on_levels = levels_of(solution.policy.policies) is not None
@@ -64,7 +63,7 @@ class Case:
 
     @property
     def has_cheapest_way(self) -> bool:
-        """Whether the cost of the cheapest way to the goal bounds the optimum."""
+        """Whether the cost of the cheapest way to the goal gives a bound of the optimum."""
         return self.problem.counts_totals and self.problem.failure_budget is not None
 
 
@@ -80,7 +79,7 @@ class _Approach:
 
 
 def _is_on_rounded_costs(case: Case) -> bool:
-    """Return whether the problem needs rounded costs: its total cost has too many values.
+    """Return whether the problem needs rounded costs because its total cost has too many values.
 
     Problems with constraints are never solved on rounded costs.
     """
@@ -130,7 +129,7 @@ def approach_to(case: Case) -> _Approach:
 
 
 def refusal(problem: Problem, method: options.Method) -> ModelError | None:
-    """Return the error of a method that does not support a problem; None: it does."""
+    """Return the error of a method that does not support a problem; None if it supports it."""
     if isinstance(method, options.ColumnGeneration | options.LinearProgramming):
         return None
     named = Argument("method", method.name)

@@ -64,13 +64,12 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
 
     If ``options`` choose the full linear program, it is solved as well, as a check.
     """
-    compiled, aim = problem.compile(), problem.semantics.aim
-    start = compiled.facts.start
+    aim, start = problem.semantics.aim, problem.start_mass
     reach = extreme_goal_reach(problem.model, aim, start)
     objective, bound = float(expected(start, reach.goal)), float(expected(start, reach.bound))
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
     if options.program is not None:
-        process = compiled.explicit()
+        process = problem.compile().explicit()
         limits = {FAILURE_ROW: (process.failure, 1.0)}
         optimum = solve_program(process, limits, options, ratio=False)
         check_agreement(optimum, 1.0 - objective if greatest else objective)
@@ -170,9 +169,10 @@ _SURELY = 1.0 - 1e-9  # share of the budget: a lower failure proves that the lea
 def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove a lower bound of the cost of policies of least failure.
 
-    The dual bound at a high price of failure holds for every policy. If no price closes the gap,
-    because of rounding, the bound of the second stage is returned: it holds for policies of the
-    pairs that were found to attain the greatest goal probability.
+    Without accumulated cost the bound is proved at a high price of failure, and holds for every
+    policy. With accumulated cost, or if rounding leaves a gap at every price, the bound comes from
+    the second stage. It then holds for the policies that use only the pairs that were found to
+    attain the greatest goal probability.
     """
     compiled, sense = solution.problem.compile(), solution.problem.semantics.sense
     safest = compiled.least_failure()
@@ -196,7 +196,7 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
     Args:
         solution: the solution to certify.
         evaluation: evaluation of its policy.
-        attained: the least failure among the members of the policy's lottery.
+        attained: the least failure probability among the policies of the solution's lottery.
 
     Raises:
         ModelError: the solution has no price and value function, or these do not fit the problem.
@@ -241,7 +241,7 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
 def _bound_by_values(
     compiled: CompiledProblem, row: FailureRow, price: float, slack: bool, solution: Solution
 ) -> tuple[float, float]:
-    """Return the lower bound that a solution's value function proves, and the loss by the cap.
+    """Return the lower bound that a solution's value function proves, and the loss due to the cap.
 
     Args:
         compiled: the problem.
@@ -269,7 +269,7 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     """Solve by the paper's zero-sum game, without columns or linear programs.
 
     ``options.tail`` is the paper's M: once a run has cost M, the policy fails as surely as
-    possible. If it is given, the policy is the best with this M, and its objective is evaluated
+    possible. If M is given, the policy is optimal for this M, and its objective is evaluated
     exactly. The lower bound comes from the game without a fixed M, and holds for all policies.
     """
     from ssp_lp.game.optimum import stationary_game
@@ -310,7 +310,7 @@ _NEAR = 1e-9  # distance of a failure from the budget at which this may be the l
 def refined_optimum(
     compiled: CompiledProblem, budget: float, options: SolveOptions, guess: DualGuess | None = None
 ) -> Optimum[CompiledProblem]:
-    """Run column generation on finer and finer compiled problems, to the tolerance of the gap.
+    """Run column generation on finer and finer problems until the gap is within the tolerance.
 
     Args:
         compiled: the first problem.
@@ -351,11 +351,11 @@ def refined_optimum(
 def _capped_by_case_m(
     compiled: CompiledProblem, budget: float
 ) -> tuple[CompiledProblem, DualGuess | None]:
-    """Return a case S problem with a good first cap on accumulated cost, and a first price.
+    """Return a case S problem with a first cap on accumulated cost, and a first price of failure.
 
-    The problem is returned unchanged unless its own first cap is only a guess (``is_long_shot``).
-    Then case M is solved, which needs no accumulated cost. Its price of failure is near that of
-    case S, and the cap is a multiple of that price.
+    If the problem's own first cap is a poor guess (``is_long_shot``), case M is solved, which needs
+    no accumulated cost. The price of failure of case M is near that of case S, and the cap is a
+    multiple of this price. Otherwise the problem is returned unchanged, without a price.
     """
     if not compiled.is_long_shot:
         return compiled, None
@@ -375,14 +375,14 @@ def _capped_by_case_m(
 def _safest_optimum(
     compiled: CompiledProblem, row: FailureRow, least: LeastFailure | None, stop: BaseException
 ) -> Optimum[CompiledProblem]:
-    """Return the policy of least failure, for a search stopped before it had a feasible policy.
+    """Return the policy of least failure, after a search that was stopped without any policy.
 
     Raises:
-        Stop: an incumbent of case M is known, which is better, or there is no time to compute the
-            policy of least failure.
+        Stop: a policy of case M is known, or ``solve`` finds one sooner, which is a better answer;
+            or there is no time to compute the policy of least failure.
     """
-    if prepared() is not None:  # a better incumbent exists
-        raise Stop from stop
+    if prepared() is not None or compiled.charge is not None:
+        raise Stop(told=stop.told if isinstance(stop, Stop) else "") from stop
     with WithIncumbent(), closing():
         least = checked_least_failure(compiled, row.budget) if least is None else least
         options = SolveOptions(TRIAL_TOLERANCE)
@@ -404,10 +404,10 @@ def _attempt(
     """Run column generation once, on one process.
 
     If ``options`` choose the full linear program, it is solved first, and its dual is the first
-    price. If the budget equals the least failure, no program is solved, because rounding would
-    decide whether it is feasible: the answer is the policy of least failure, with its own bound.
-    The least failure is computed if the safest column is so near the budget that the two may be
-    equal.
+    price. If the budget equals the least failure, the answer is the policy of least failure, with
+    the bound of this policy. No program is solved then, because rounding would decide whether the
+    program is feasible. To save time, the least failure is not computed if a column fails clearly
+    less often than the budget allows.
 
     Args:
         compiled: the problem.
@@ -415,8 +415,8 @@ def _attempt(
         least: the policy of least failure, if it is known.
         options: method, tolerance and limits.
         guess: a first price of failure, or None.
-        by_pricing: whether to find the first columns by pricing, if that is possible; otherwise
-            the column of least failure is the first.
+        by_pricing: whether to find the first columns by pricing. If not, or if pricing finds no
+            column within the budget, the first column is the policy of least failure.
     """
     program = None
     if options.program is not None and least is not None:

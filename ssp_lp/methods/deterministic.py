@@ -13,8 +13,8 @@ two policies: ``inside`` satisfies the budget and may be a better incumbent, ``o
 it. Both are optimal at the price, and differ in few states, often in one. The node is divided at
 the state that contributes most to their difference in failure: one part takes the pair of
 ``inside`` there, the other part excludes it. Neither part contains both policies, so the bounds of
-both parts may rise. The node of least bound is divided first. A node is solved if no policy
-violates the budget at the least price: its best policy is deterministic.
+both parts may rise. The node of least bound is divided first. A node needs no division if every
+policy priced in it satisfies the budget: its best lottery is then a single deterministic policy.
 
 The number of nodes may be exponential: the problem is NP-hard (Dolgov and Durfee 2005). The least
 bound of all open nodes is a bound at any time, so that a search that is stopped has a certified
@@ -29,8 +29,8 @@ are not searched:
 - policies that leave a collapsed end component by an exit that depends on where they entered it;
 - in case S, policies that act beyond the cap in another way than the tail policies do.
 
-A node is not divided at these states. The bound does not cover policies with more memory than the
-state of the process, which could randomise by remembering random outcomes.
+Nodes are not divided at collapsed components and beyond the cap. The bound does not cover policies
+with more memory than the state of the process: remembered random outcomes would let them randomise.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ _FAR = 0.5  # share of the states that differ from which on a new inverse is com
 def best_deterministic(mixed: Solution, outcome: Optimum[Any], tolerance: float) -> Solution:
     """Solve for the best deterministic policy, given the best lottery.
 
-    The first incumbent is the best member of the lottery within the budget, and the first lower
-    bound that of the lottery.
+    The first incumbent is the best policy of the lottery that satisfies the budget; the first lower
+    bound is the lottery's.
 
     Args:
         mixed: the best lottery; its value function is kept.
@@ -170,10 +170,11 @@ class _PolicySearch:
 
         Args:
             process: the process, or its relaxation.
-            free: states at which no node is divided, [states].
+            free: mask of the states at which no node is divided, [states].
 
         Returns:
-            A lower bound of all its policies, and whether the search ended before the time limit.
+            A lower bound of the objective of every policy of the process, and whether the search
+            ended before the time limit.
         """
         tree = _Tree(process, self.outcome.row, free, self, self.outcome.kappa)
         with WithIncumbent() as growth:
@@ -181,7 +182,7 @@ class _PolicySearch:
         return tree.bound, not tree.nodes and not growth.stop
 
     def offer(self, column: Column) -> None:
-        """Keep a column's policy if it is better than the best one when evaluated on the model."""
+        """Make a column's policy the incumbent if its value on the model is better."""
         relaxation, row = self.relaxation, self.outcome.row
         if row.objective(column.cost, column.goal) >= self.best.value:
             return
@@ -227,7 +228,7 @@ class _Tree:
 
     @property
     def bound(self) -> float:
-        """Lower bound of all policies."""
+        """Lower bound of the objective of all policies."""
         least = min(self.closed, self.nodes[0][0] if self.nodes else np.inf)
         return least if np.isfinite(least) else -np.inf
 
@@ -266,7 +267,10 @@ class _Tree:
         return int(inside[states[0]]) if states.size else -1
 
     def _add(self, node: _Node, choice: IntArray) -> None:
-        """Put a node on the heap, with the bound of its best lottery, unless the bound closes it.
+        """Compute the bound and the best lottery of a node, and put the node on the heap.
+
+        The node is dropped if its bound excludes a policy better than the incumbent, or if its best
+        lottery is not a mixture of two policies. The tree then keeps only the bound.
 
         Args:
             node: the node; the search for its best price begins at ``node.price``.
@@ -337,18 +341,18 @@ class _Tree:
 
     @cached_property
     def _is_small(self) -> bool:
-        """Whether a dense matrix [pairs, states] of visits is small, and every state has a pair."""
+        """Whether a dense matrix [pairs, states] fits into memory, and every state has a pair."""
         process = self.process
         has_pairs = bool((np.diff(process.pair_offsets) > 0).all())
         return 0 < process.n_pairs * process.n_states <= _MOST_VISITS and has_pairs
 
     @cached_property
     def _neighbours(self) -> _Neighbours:
-        """Policy iteration that is fast for policies near the last one."""
+        """Policy iteration that reuses the inverse matrix of an earlier policy."""
         return _Neighbours(self.process, np.full(self.process.n_states, -1))
 
     def _proved(self, rewards: FloatArray, column: Column) -> float:
-        """Return the certified lower bound of the objective at the price of a column."""
+        """Return a certified lower bound of the objective, at the price of an optimal column."""
         process, weights = self.process, np.array([1.0, column.tail_price, 0.0])
         priced, values = weighted(rewards, weights), weighted(required(column.totals), weights)
         priced -= LOST * priced  # a bound rounds down
@@ -361,13 +365,16 @@ class _Tree:
         return self._objective_bound(column.tail_price, bound.at(process.start))
 
     def _objective_bound(self, price: float, priced: float) -> float:
-        """Return the lower bound of the objective that the least priced cost implies."""
+        """Return a lower bound of the objective of every policy.
+
+        It follows from ``priced``, a lower bound of ``cost + price * failure`` of every policy.
+        """
         return self.row.lower_bound(Proof(price, price, priced, np.zeros(0)))
 
     def _next_price(self, price: float, inside: Column | None, outside: Column | None) -> float:
-        """Return the next price at which the node's bound may be greatest.
+        """Return the next price of failure to try in the search for a node's greatest bound.
 
-        If it equals ``price``, the search for the node's best price ends.
+        The search ends if the result equals ``price``.
 
         Args:
             price: the price of the last step.
@@ -393,7 +400,7 @@ class _Tree:
 class _Neighbours:
     """Policy iteration that updates the inverse matrix of one policy's equations.
 
-    Mutable: the policy and its inverse are replaced when too many states differ from it.
+    Mutable: a policy that differs from the stored one in too many states replaces it.
     """
 
     process: ExplicitProcess
@@ -439,7 +446,7 @@ class _Neighbours:
     def _totals(self, rewards: FloatArray, choice: IntArray) -> FloatArray:
         """Return a policy's expected totals of the rewards, [states, rewards].
 
-        The inverse of the last policy is updated by the Sherman-Morrison-Woodbury formula.
+        The stored inverse is updated by the Sherman-Morrison-Woodbury formula.
         """
         steps = self.process.transitions
         states = np.flatnonzero(choice != self.choice)
@@ -465,12 +472,11 @@ _ENDLESS = 1e9  # price of failure, relative to 1 + the optimal one, at which no
 class _DeterministicRelaxation:
     """A process, and a relaxation of it that contains all deterministic policies of the model.
 
-    Two kinds of deterministic policies are missing in ``process``: a policy may leave a collapsed
-    end component by an exit that depends on the entry, and in case S it may act beyond the cap in
-    another way than the tail policies. ``relaxed`` contains these as well, as policies that
-    randomise in the states ``may_randomise``. Beyond the cap it allows every goal probability
-    between the least and the greatest, and success costs only the total at which the cap was
-    passed.
+    ``process`` lacks two kinds of deterministic policies: those that leave a collapsed component by
+    an exit that depends on where they entered, and, in case S, those that act beyond the cap unlike
+    the tail policies. ``relaxed`` contains them as policies that randomise in the states
+    ``may_randomise``. Beyond the cap, ``relaxed`` allows every goal probability between the least
+    and the greatest, and success costs only the total at which the cap was passed.
     """
 
     compiled: CompiledProblem
@@ -481,9 +487,9 @@ class _DeterministicRelaxation:
     measure: Callable[[IntArray], list[Column]]  # evaluates the policies of a choice exactly
 
     def completed(self, choice: IntArray) -> IntArray | None:
-        """Return the choice, with ``fallback`` in the states that it does not reach, [states].
+        """Return a choice, changed to ``fallback`` in the states that no run reaches, [states].
 
-        The result is None if some run under the choice may never end.
+        The result is None if a run under the choice may never end.
         """
         process = self.process
         chain = sp.csr_array(process.transitions[choice])
@@ -524,7 +530,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
         free[: len(merged)] = merged
 
         def measure(choice: IntArray) -> list[Column]:
-            """Return the column of a choice, evaluated exactly."""
+            """Return one column, the choice evaluated exactly."""
             return [labelled.explicit_pricing.measure(choice.astype(np.int32))]
 
     else:
@@ -536,9 +542,9 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
         relaxed = _with_loose_tails(process, layered.process, beyond)
 
         def measure(choice: IntArray) -> list[Column]:
-            """Return three columns of a choice, which differ in the tail policies beyond the cap.
+            """Return three columns: the choice with three different tail policies beyond the cap.
 
-            The tail policies are those at the price, at price 0, and at a price at which none
+            These tails are optimal at ``price``, at price 0, and at a price so high that no tail
             gives up.
             """
             within = choice[: cap * base.n_nodes].reshape(cap, base.n_nodes)
@@ -559,12 +565,11 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
 def _with_loose_tails(
     process: ExplicitProcess, layered: LayeredProcess, beyond: IntArray
 ) -> ExplicitProcess:
-    """Return a process whose two tails bound everything that a policy may do beyond the cap.
+    """Return a process in which every policy beyond the cap costs at least a mixture of two tails.
 
-    From accumulated cost r on, success costs at least ``r * E[gamma^(T-1); goal]``, and its
-    probability lies between a least and a greatest one. One tail has the least probability, the
-    other one the greatest, both at that least cost. So every policy beyond the cap costs at least
-    as much as some mixture of the two tails.
+    From accumulated cost r on, success costs at least ``r * E[gamma^(T-1); goal]``, with discount
+    gamma and T steps to the goal. Both tails have this least cost. One tail has the least goal
+    probability, the other one the greatest.
     """
     base, tails = layered.base, layered.tails
     n_layers = base.width - 1

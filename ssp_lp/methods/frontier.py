@@ -119,18 +119,18 @@ def trace_frontier(
 ) -> Frontier:
     """Trace the least objective as a function of a budget, from the least feasible budget on.
 
-    The frontier ends where a larger budget no longer lowers the objective. Over the failure budget,
-    the pricing problem is solved at the slope of each segment: either no policy lies below it and
-    it is part of the frontier, or the policy found splits it. Case M ends at price 0; case S ends
-    where the price equals the ratio, beyond which more failure does not lower the cost given
-    success. Over another limit, or with other limits fixed, the problem is solved at the bound with
-    the largest gap between upper and lower bound, one after another.
+    The frontier ends where a larger budget no longer lowers the objective. There the price of
+    failure is 0 in case M, and equals the objective in case S. Over the failure budget alone, the
+    pricing problem is solved at the slope of each segment. If no policy lies below the segment, the
+    segment is part of the frontier; otherwise the policy found splits the segment. Over another
+    limit, or with other limits fixed, the problem is solved at one bound after another, each time
+    where the gap between the upper and the lower bound of the frontier is largest.
 
     Args:
         problem: its bound on the traced quantity is ignored; all other limits hold.
         over: "failure", or the name of a limit that bounds a quantity from above.
-        gap: largest distance of a policy below a segment, relative to the cost at its safer end
-            (over other limits: to the larger objective at its ends).
+        gap: largest distance of a policy below a segment, relative to the cost at the segment's
+            safer end (over other limits: to the larger objective at the segment's ends).
         steepest_price: begin with the policy that is optimal at this price of failure (kappa in
             case S) rather than at the least failure, near which the price grows without bound.
         point_limit: stop splitting after this number of turning points. Segments with the largest
@@ -214,10 +214,10 @@ def _traceable(problem: Problem, over: str, limits: _TraceLimits) -> Problem:
 class Frontier(Report):
     """Turning points of the lower convex hull of (failure, cost), by increasing failure.
 
-    Between two points the optimum is their lottery: the cost is piecewise linear and convex in the
-    failure. In case S ``cost`` is E[cost; goal], and the objective is cost / goal along a segment.
-    Under a discount all three are discounted. If the frontier is over another limit, ``spent`` is
-    the limited quantity, in place of the failure.
+    Between two points a lottery of the two policies is optimal: the cost is piecewise linear and
+    convex in the failure. In case S ``cost`` is E[cost; goal], and the objective is ``cost / goal``
+    along a segment. Under a discount, cost, failure and goal are discounted. On a frontier over
+    another limit, ``spent`` is the limited quantity, in place of the failure.
     """
 
     spent: FloatArray  # [points] increasing: the traced quantity, by default the failure
@@ -245,10 +245,11 @@ class Frontier(Report):
 
     @property
     def region(self) -> tuple[float, float]:
-        """The bounds of interest: up to three times the distance to the bend of the curve.
+        """First and last value of the traced quantity in the part of the curve that bends.
 
-        The bend is where the curve lies most below its chord; beyond the region a larger budget
-        lowers the objective little. Without a bend the region is the whole range.
+        The bend is the point that lies most below the curve's chord. The part begins at the first
+        point and ends at three times the distance to the bend, or at the last point if that comes
+        first or there is no bend. Beyond it a larger budget lowers the objective little.
         """
         first, last = float(self.spent[0]), float(self.spent[-1])
         if len(self.spent) < 3:
@@ -268,7 +269,11 @@ class Frontier(Report):
 
     @property
     def open_segments(self) -> tuple[int, ...]:
-        """Indices of the segments below which points may be missing; number k begins at point k."""
+        """Indices of the segments below which points may be missing.
+
+        Segment k joins the points k and k + 1. If tracing stopped before it knew the other end of
+        the frontier, the index of the last point stands for the part after this point.
+        """
         numbers = np.flatnonzero(self.below > self.tolerance).tolist()
         return (*numbers, len(self.price)) if self.ends_early else tuple(numbers)
 
@@ -281,9 +286,9 @@ class Frontier(Report):
     def objective_at(self, budget: float) -> float:
         """Return the least objective within a failure budget, without a pricing call.
 
-        Its error is at most ``tolerance`` times the cost at the safer end of the segment, upwards.
-        In case S this is divided by 1 - budget, and may be a larger share of the value near budget
-        1.
+        The result is the objective of :meth:`policy_at`. It differs from the optimum by at most
+        ``tolerance`` times the cost at the safer end of the segment. In case S this is divided by
+        1 - budget, so that the error may be large relative to the objective near budget 1.
 
         Raises:
             InfeasibleError: the budget is below the least failure.
@@ -309,12 +314,13 @@ class Frontier(Report):
 
     @explained
     def bounds_at(self, budget: float) -> tuple[float, float]:
-        """Return certified lower and upper bounds of the optimum at a bound, such as a budget.
+        """Return certified lower and upper bounds of the least objective within a budget.
 
-        One bound is the value of :meth:`policy_at`. If only the failure budget is traced, the other
-        bound is proved at the price of the segment and, if the segment is not settled, at the
-        prices of its ends: one to three pricing calls, cached for all budgets. For other frontiers
-        it is proved, without a pricing call, at the prices of all optima found while tracing.
+        One bound is the objective of :meth:`policy_at`: the upper bound or, if the objective is
+        maximised, the lower bound. If failure is the only limit, the other bound takes one to three
+        pricing calls: at the price of the segment and, if the segment is not settled, at the prices
+        of its ends. Their results are cached for all budgets. With further limits the optima found
+        while tracing prove the other bound, without a pricing call.
 
         Raises:
             InfeasibleError: the budget is below the least feasible one.
@@ -337,7 +343,7 @@ class Frontier(Report):
     def policy_at(self, budget: float) -> MixedPolicy:
         """Return the lottery of the turning points around a budget, without a pricing call.
 
-        It attains the upper bound of :meth:`bounds_at`, which is :meth:`objective_at` if settled.
+        The objective of the lottery is one of the two bounds of :meth:`bounds_at`.
 
         Raises:
             InfeasibleError: the budget is below the least failure.
@@ -386,8 +392,8 @@ class Frontier(Report):
     def tables(self) -> list[Table]:
         """Return one table with a row for each turning point; printed text shows a few rows.
 
-        Columns: the traced quantity under its name, goal, cost and objective at the point; price
-        of, and gap below, the segment that begins there (empty at the last point).
+        The columns are the traced quantity (under its own name), goal, cost and objective of the
+        point; then the price and the gap of the segment that begins there, empty in the last row.
         """
         price, below = ([*each.tolist(), None] for each in (self.price, self.below))
         points = (x.tolist() for x in (self.spent, self.goal, self.cost, self.objective))
@@ -449,7 +455,8 @@ class Frontier(Report):
     def _least_failure(self) -> float:
         """Return the least failure probability of the problem.
 
-        An InfeasibleError calls this only when its attribute is read.
+        As this may take long, InfeasibleError gets the method itself, and calls it only when its
+        attribute ``least_failure`` is read.
         """
         if self.problem is None:
             return float(self.failure.min())
@@ -475,7 +482,6 @@ class _TraceLimits:
             raise wrong_argument("steepest_price", "be a positive number", steepest)
 
     def report(self, calls: int, points: int) -> None:
-        """Call the progress callback, if any."""
         if self.progress is not None:
             self.progress(calls, points)
 
@@ -485,7 +491,7 @@ class _TraceLimits:
         return self.point_limit is not None or self.has_deadline
 
     def allows(self, points: int) -> bool:
-        """Return whether a segment may still be split."""
+        """Return whether a frontier of so many points may still be split."""
         full = self.point_limit is not None and points >= self.point_limit
         return not full and not is_late()
 
@@ -499,7 +505,6 @@ class _ColumnPoints:
     proofs: dict[tuple[float, bool], Proof] = field(default_factory=dict)  # by price and slack
 
     def policy(self, point: int) -> Policy:
-        """Return the policy of a turning point."""
         return self.pricing.policy(self.columns[point])
 
     def proved(
@@ -507,8 +512,8 @@ class _ColumnPoints:
     ) -> float:
         """Return a certified lower bound of the objective of all policies within a budget.
 
-        It is proved at the prices of the adjacent segments and, if one of them is not settled, at
-        the prices at which its end points were found.
+        The bound is proved at the prices of the segments next to the budget and, if such a segment
+        is not settled, at the prices at which its end points were found.
 
         Args:
             frontier: the frontier of these points.
@@ -531,10 +536,10 @@ class _ColumnPoints:
         return least_of(max(map(row.lower_bound, proofs)), attained)
 
     def _proof_below(self, frontier: Frontier, segment: int) -> Proof:
-        """Return the dual bound at a segment's price.
+        """Return the dual bound at the price of a segment.
 
-        For the number of the last point, where no segment begins, it is the bound for a slack
-        budget.
+        No segment begins at the last point. The number of this point gives the dual bound for a
+        slack budget.
         """
         column = self.columns[segment]
         if segment < len(self.columns) - 1:
@@ -570,7 +575,6 @@ class _OptimumPoints:
     is_failure: bool  # whether the bounds are failure budgets
 
     def policy(self, point: int) -> MixedPolicy:
-        """Return the lottery of a turning point."""
         return self.policies[point]
 
     def proved(
@@ -693,7 +697,8 @@ class _Columns:
         """Solve the pricing problem at the slope of the segment from p to q.
 
         Returns:
-            The relative gap below the segment, and the column that splits it; None: it is settled.
+            The relative gap below the segment, and the column that splits the segment, or None if
+            the segment is settled.
         """
         price = max((p.cost - q.cost) / excess_failure(q, p), 0.0)
         below, gap = self._below.get(p.failure, 1.0), self.limits.gap
@@ -721,7 +726,6 @@ class _Columns:
         return p, column, q
 
     def frontier(self) -> Frontier:
-        """Return the frontier through all points."""
         columns = self.points
         spent, goal, cost = np.array([(c.failure, c.goal, c.cost) for c in columns]).T
         light = tuple(replace(column, totals=None) for column in columns)
@@ -738,7 +742,7 @@ class _Columns:
 def _share_below(p: Column, q: Column, column: Column | None, price: float) -> float:
     """Return the distance of a column below the segment from p to q, relative to the cost of p.
 
-    It is 0 without a column, and for a column whose failure is not between those of p and q.
+    The distance is 0 if there is no column, or if its failure is not between those of p and q.
     """
     if column is None or not p.failure < column.failure < q.failure:
         return 0.0
@@ -747,10 +751,10 @@ def _share_below(p: Column, q: Column, column: Column | None, price: float) -> f
 
 
 def _traced_by_columns(problem: Problem, limits: _TraceLimits) -> Frontier:
-    """Trace over the failure budget, on finer processes while the cap leaves a large gap.
+    """Trace over the failure budget, on finer processes until the cap leaves a small enough gap.
 
-    The gap is largest where the price is steepest. A few pricing calls at that end first determine
-    how fine the process must be; then the whole frontier is traced once.
+    The gap is largest at the end of least failure, where the price is highest. A few pricing calls
+    at that end determine how fine the process must be; then the whole frontier is traced.
 
     Raises:
         ModelError: the problem has no expected cost to trace.
@@ -863,7 +867,7 @@ class _Optima:
 
     @property
     def points(self) -> list[_Optimum]:
-        """The optima that no other optimum dominates, by increasing ``spent``."""
+        """The optima that no other optimum dominates, by increasing traced quantity (``spent``)."""
         points: list[_Optimum] = []
         for one in sorted(self.optima, key=lambda o: (o.spent, o.value)):
             if not points or one.value < points[-1].value - _STRAIGHT * abs(points[-1].value):
@@ -871,9 +875,9 @@ class _Optima:
         return points
 
     def look(self, p: _Optimum, q: _Optimum) -> tuple[float, float | None]:
-        """Return the relative gap below the segment from p to q, and the bound to solve at next.
+        """Return the relative gap below the segment from p to q, and where to split the segment.
 
-        The bound is None if the segment is settled.
+        The second result is the bound at which to solve next, or None if the segment is settled.
         """
         below, bound = self._apart(p, q)
         own = max((o.value - o.proved) for o in (p, q)) / self._scale(p, q)
@@ -904,12 +908,12 @@ class _Optima:
         return _OptimumPoints(*told_of, goal, self.over == FAILURE_ROW)
 
     def _scale(self, p: _Optimum, q: _Optimum) -> float:
-        """Return the larger absolute objective of p and q, which relative gaps are divided by."""
+        """Return the divisor of relative gaps: the larger absolute objective of p and q."""
         worth = self.stated.sense.worth
         return max(abs(worth(p.value)), abs(worth(q.value)), _LEAST)
 
     def _mixed(self, p: _Optimum, q: _Optimum, bound: float) -> float:
-        """Return the value of the lottery over p and q that spends exactly a bound between them."""
+        """Return the value of the lottery over p and q whose traced quantity is ``bound``."""
         w = (bound - p.spent) / (q.spent - p.spent)
         goals = ((1.0 - w) * p.goal, w * q.goal) if self.stated.ratio else (1.0 - w, w)
         return (goals[0] * p.value + goals[1] * q.value) / sum(goals)

@@ -59,7 +59,7 @@ def solve_program(
 
 
 def check_agreement(optimum: ProgramOptimum, objective: float) -> None:
-    """Check that the optimum equals the value of the policies; else raise :class:`SolverError`."""
+    """Raise :class:`SolverError` unless a program's optimum equals the policies' objective."""
     if abs(optimum.objective - objective) > _AGREEMENT * max(abs(objective), 1.0):
         raise SolverError(
             f"the linear program reports {optimum.objective!r} ({optimum.report}), but the "

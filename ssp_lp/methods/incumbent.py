@@ -7,8 +7,9 @@ calls, while a search on accumulated costs may not find its first policy in minu
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from math import hypot, sqrt
 from typing import Any
@@ -25,7 +26,7 @@ from ssp_lp.column_generation.compiled_problem import (
     GoalFacts,
     checked_least_failure,
 )
-from ssp_lp.compiled.deadline import WithIncumbent
+from ssp_lp.compiled.deadline import WithIncumbent, closing, seconds_left, until
 from ssp_lp.errors import SSPError
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.refinement import Optimum, Proved
@@ -45,6 +46,8 @@ from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _ROUGH = SolveOptions(1e-3)  # tolerance in case M, whose policy is not optimal anyway
+_SEARCHED = 0.6  # share of a long time for the search in case M; the rest is for the evaluation
+_LONG = 3.0  # seconds
 _NOTHING = 1e-290  # a smaller bound is 0
 _VARIANCE = 1e-6  # rounding error of a standard deviation, relative to the mean
 _MOMENTS = "its objective is a bound by mean and variance: the exact value takes longer"
@@ -65,7 +68,7 @@ class Incumbent:
         """Find the incumbent if the problem has accumulated costs and time allows.
 
         Returns:
-            Itself; None: there is no incumbent.
+            This object, or None if no incumbent was found.
         """
         if self.solution is not None:
             return self
@@ -75,14 +78,20 @@ class Incumbent:
         for at_least_failure in (False, True):  # the cheapest policy may fail always
             with WithIncumbent(), suppress(SSPError):  # the search raises it again
                 if at_least_failure not in self.policies:
-                    policy = self._cheapest_policy(problem, at_least_failure=at_least_failure)
+                    left = seconds_left()
+                    ends = time.perf_counter() + _SEARCHED * left
+                    with until(ends) if left > _LONG else nullcontext():
+                        policy = self._cheapest_policy(problem, at_least_failure=at_least_failure)
                     self.policies[at_least_failure] = policy
                 policy = self.policies[at_least_failure]
                 if policy is not None and not (self.deterministic and len(policy.policies) > 1):
                     room = LEAST_BUDGET if at_least_failure else 0.0
-                    if problem.semantics.counts_law:  # a bound until its law is known
-                        self.solution = _incumbent_value(problem, policy, room, by_moments)
-                    self.solution = _incumbent_value(problem, policy, room)
+                    counts_law = problem.semantics.counts_law
+                    with closing():
+                        judge = by_moments if counts_law else evaluate
+                        self.solution = _incumbent_value(problem, policy, room, judge)
+                    if counts_law:  # a bound until its law is known
+                        self.solution = _incumbent_value(problem, policy, room)
             if self.solution is not None:
                 return self
         return None
@@ -90,8 +99,8 @@ class Incumbent:
     def improving(self, other: Solution) -> Solution:
         """Return a stopped search's solution, with the incumbent's policy if that is better.
 
-        The bound of the cheapest way to the goal replaces the search's bound if it is better. The
-        prices and the value function of the search are kept.
+        The result has the prices and the value function of the search, and the tighter one of two
+        bounds: that of the search, and that of the cheapest way to the goal.
 
         Args:
             other: the solution of the search.
@@ -113,7 +122,7 @@ class Incumbent:
         return replace(best, lower_bound=min(max(other.lower_bound, bound), best.objective))
 
     def _cheapest_policy(self, problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:
-        """Return a nearly optimal lottery of case M within all limits; None: nothing is limited.
+        """Return a nearly optimal lottery of case M within all limits; None if there are no limits.
 
         Args:
             problem: the problem.
@@ -140,9 +149,11 @@ def _incumbent_value(
     problem: Problem,
     policy: MixedPolicy,
     room: float,
-    judge: Callable[[MixedPolicy, Problem], Evaluation] = evaluate,
+    judge: Callable[..., Evaluation] = evaluate,
 ) -> Solution | None:
-    """Return a policy of case M as a solution; None: it violates a limit or never reaches the goal.
+    """Return a policy of case M as a solution of a problem.
+
+    The result is None if the policy violates a limit or never reaches the goal.
 
     Args:
         problem: the problem.
@@ -252,9 +263,9 @@ def broken_limit(
 def worth_bound(problem: Problem) -> float:
     """Return a bound of the optimum from the cost of the cheapest way to the goal.
 
-    No run to the goal costs less, and charges do not fall when the total grows. So this is a lower
-    bound of a cost given success, its quantile or its tail mean. If the objective is maximised, it
-    is an upper bound.
+    No run to the goal costs less than the cheapest way, and charges do not fall when the total
+    grows. The result is a lower bound of a minimised objective (a cost given success, its quantile
+    or tail mean), and an upper bound of a maximised one.
 
     Args:
         problem: a problem with a cost given success, or a measure of its law.

@@ -33,11 +33,13 @@ def program_of(
 
     With least failure (``failure_budget=None``) it is the program of the second stage: it contains
     only the actions that attain the greatest goal probability, and has no failure row (mathematics,
-    section 4). In case S there is a layer for each accumulated cost up to a cap: the problem's
-    ``cost_cap``, or the cap at which column generation proves the optimum. One last layer stands
-    for all larger costs, and an arrival from this layer is charged only the cap. The program's
-    optimum is therefore a lower bound of the problem's, also with further rows or other bounds.
-    ``OccupationMeasure.beyond`` is the probability of arrivals from the last layer.
+    section 4).
+
+    In case S there is a layer for each accumulated cost up to a cap: the problem's ``cost_cap``, or
+    the cap at which column generation proves the optimum. One last layer stands for all larger
+    costs. Runs that reach the goal from this layer are charged less than their cost, so the
+    program's optimum is a lower bound of the problem's optimum, also with further rows or other
+    bounds. ``OccupationMeasure.beyond`` is the probability of such runs.
 
     Args:
         problem: a formulation.
@@ -130,7 +132,6 @@ def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
 
 
 def _objective_word(problem: Problem, compiled: CompiledExplicit) -> str:
-    """Return a short name of the objective."""
     semantics = problem.semantics
     if compiled.objective is not None:
         return "objective"

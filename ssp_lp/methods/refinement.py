@@ -1,8 +1,8 @@
 """Refinement: solve on finer and finer processes until the gap meets the tolerance.
 
 A process that truncates or rounds the accumulated cost leaves a gap between the bound and the value
-of the best policy. Each method yields an optimum for each of several finer and finer processes
-(column generation by :func:`finer_optima`), and :func:`refine` decides when to stop.
+of the best policy. A method therefore solves a sequence of finer and finer processes and yields the
+optimum of each (column generation by :func:`finer_optima`); :func:`refine` decides when to stop.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ssp_lp.solution import Answer
 
 @dataclass(frozen=True)
 class Proved:
-    """A bound of the objective of all feasible policies, and the objective that one attains."""
+    """A bound of the objective of all feasible policies, and the objective of one such policy."""
 
     attained: float
     bound: float
@@ -106,14 +106,15 @@ class Optimum(Answer, Generic[_Compiled]):
         """Return the price of failure, as a first price for a similar problem.
 
         Args:
-            spread: relative uncertainty of the price there; None: as on the next finer process.
+            spread: relative uncertainty of the price for that problem; None: the uncertainty for
+                the next finer process.
         """
         if spread is None:
             spread = TRIAL_TOLERANCE if self.compiled.is_trial else SPREAD
         return DualGuess(self.kappa, spread, slack=len(self.generated.columns) == 1)
 
     def followed_by(self, other: Optimum[_Compiled]) -> Optimum[_Compiled]:
-        """Return another, later optimum, with the work of both searches."""
+        """Return ``other``, the optimum of a later search, with the work of both searches."""
         return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
 
 
@@ -132,8 +133,8 @@ def finer_optima(
             it is not yielded, and only its price is used.
         attempt: solves a finer problem, given the options and the optimum of the last problem.
         options: progress callback and limits.
-        patience: refining stops if this number of refinements did not halve the gap and the cap on
-            accumulated cost causes no part of it.
+        patience: number of refinements that must together halve the gap. If they do not, refining
+            stops, unless part of the gap is due to the cap on accumulated cost.
     """
     gaps = list[float]()
     while True:
@@ -159,9 +160,7 @@ class _WithGap(Protocol):
     """An optimum or a proved bound from one process, with its gap."""
 
     @property
-    def gap(self) -> float:
-        """Relative gap between value and bound."""
-        ...
+    def gap(self) -> float: ...
 
 
 _Attempt = TypeVar("_Attempt", bound=_WithGap)
@@ -174,8 +173,8 @@ def refine(attempts: Iterable[_Attempt], tolerance: float) -> _Attempt:
     limit is reached.
 
     Args:
-        attempts: results, each from a finer process than the one before. A ModelError, of a table
-            that would be too large, ends them.
+        attempts: results, each from a finer process than the one before. The sequence also ends if
+            it raises ModelError because a table would be too large.
         tolerance: relative gap.
 
     Raises:

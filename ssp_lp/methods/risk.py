@@ -129,7 +129,6 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
 
 
 def _risk_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
-    """Return the risk measure of a problem that has one."""
     return cast("CostQuantileOf | TailMeanOf", problem.semantics.risk)
 
 
@@ -137,23 +136,23 @@ def _risk_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
 class _Multiples:
     """Thresholds that are multiples of a unit.
 
-    The unit divides all costs or, if not ``sharp``, is the mesh of a grid.
+    If ``sharp``, the unit divides all costs; otherwise it is the mesh of a grid.
     """
 
     unit: Fraction
     sharp: bool = True  # whether no total can lie between two of them
 
     def total(self, number: int) -> float:
-        """Return the multiple of a given number, as the nearest float."""
+        """Return ``number`` times the unit, as the nearest float."""
         return float(number * self.unit)
 
     def number(self, total: float) -> int:
-        """Return the number of the multiple nearest to a total."""
+        """Return the index of the multiple nearest to a total."""
         return round(total / float(self.unit))
 
 
 class _Sums:
-    """Thresholds that are the possible total costs: sums of step costs, the last onto the goal.
+    """Thresholds at the possible total costs: sums of step costs that end with a step to the goal.
 
     Mutable: sums are computed as needed.
 
@@ -169,7 +168,7 @@ class _Sums:
         self._grow(4.0 * float(max(self._steps[-1], self._last[-1])) or 1.0)
 
     def total(self, number: int) -> float:
-        """Return the total of a given number, or the greatest total if there are fewer."""
+        """Return the total with a given index, or the greatest total if there are fewer."""
         size = 0
         while size < len(self._totals) <= number:
             size = len(self._totals)
@@ -177,7 +176,7 @@ class _Sums:
         return float(self._totals[min(number, len(self._totals) - 1)])
 
     def number(self, total: float) -> int:
-        """Return the number of the total nearest to a cost."""
+        """Return the index of the possible total that is nearest to a cost."""
         while self._cap <= total * (1.0 + 1e-9):
             self._grow(2.0 * self._cap)
         return int(np.abs(self._totals - total).argmin())
@@ -237,7 +236,8 @@ class _Guess(NamedTuple):
 class _Question(ABC):
     """The feasible policies of a problem, with the operations that a search over thresholds needs.
 
-    They minimise E[charge | goal] for a charge of the total cost, and bound it at given prices.
+    The operations minimise E[charge | goal] for a charge of the total cost, and compute its lower
+    bounds at given prices.
     """
 
     budget: float | None  # failure budget; None: policies of least failure
@@ -311,8 +311,8 @@ class _WithinBudget(_Question):
     def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
         """Return a function from a threshold's number to a lower bound of Pr(C > B | goal).
 
-        If layers are multiples of a unit, one backward sweep gives all bounds: a run with a smaller
-        threshold equals a run with the greatest one that begins in the layer of their difference.
+        If layers are multiples of a unit, one backward sweep gives all bounds: a run exceeds a
+        smaller threshold B if, begun at total ``greatest - B``, it exceeds the greatest threshold.
         """
         if self.compiled.layer.by_sums:
             return super().late_shares(number, guess)
@@ -519,7 +519,7 @@ def _last_refuted(question: _Question, trial: _Trial, level: float, first: int, 
 
     Args:
         question: the feasible policies.
-        trial: has the prices; its own threshold may be any.
+        trial: gives the prices; the threshold of the trial does not matter.
         level: level of the quantile, in (0, 1).
         first: number of a refuted threshold.
         last: only smaller numbers are considered.
@@ -567,7 +567,7 @@ class _TailMeanSearch:
     sweeps: int = 0
 
     def attempt(self, threshold: int, options: SolveOptions | None = None) -> Answer:
-        """Minimise the charge of a threshold; return the better of the policy and the incumbent."""
+        """Minimise the charge of a threshold; return the incumbent, updated if it was improved."""
         charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
         kappa = self._kappa(threshold)
         trial = self.question.attempt(charge, options or self.options, kappa)
@@ -588,9 +588,9 @@ class _TailMeanSearch:
     def refuted(self, first: int, last: int) -> float:
         """Return a lower bound of F (see the module) on all thresholds from first to last.
 
-        It is proved at a price of failure that is interpolated between the known ones. If the
-        budget is slack, the price at a threshold is its value, and the target as the price is
-        enough to prove the target.
+        The bound is proved at a price of failure that is interpolated between known ones. If the
+        budget is slack at a tried threshold nearby, it is also proved at the price ``target``,
+        which is enough to reach the target.
         """
         places, middle = self.question.thresholds, (first + last) // 2
         charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
@@ -660,9 +660,10 @@ class _TailMeanSearch:
         return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
 
     def _reached(self, after: int, before: int, bounds: list[float]) -> int:
-        """Return the first threshold after a tried one that its lower bound does not refute.
+        """Return the first threshold, after a tried one, that the known lower bounds do not refute.
 
-        The charge falls by at most 1 / share - 1 where the threshold rises by 1, and F as well.
+        F falls by at most 1 / share - 1 where the threshold rises by 1. So the lower bound of F at
+        the tried threshold also gives lower bounds at the thresholds that follow.
 
         Args:
             after: number of the tried threshold.
@@ -680,12 +681,14 @@ class _TailMeanSearch:
         return reached + between
 
     def _parts(self, first: int, final: int, between: int) -> Iterator[tuple[int, int]]:
-        """Yield parts of an interval, twice as long from part to part away from the quantile.
+        """Yield the parts of an interval of thresholds, each as (first, last).
+
+        Each part is twice as long as the part before; the shortest one is nearest to the quantile.
 
         Args:
             first: number of the first threshold.
             final: number of the last threshold.
-            between: distance from the last threshold of a part to the first one of the next.
+            between: distance from the last threshold of a part to the first one of the next part.
         """
         is_below, length = final <= self.quantile, 1
         while first + 1 - between <= final:

@@ -37,7 +37,7 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import WithinBound
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, common_unit, step_costs, sums_in, totals_of
-from ssp_lp.analysis.evaluation import Evaluation, evaluate, measured_costs
+from ssp_lp.analysis.evaluation import Evaluation, measured_costs, success_figures
 from ssp_lp.arrays import SAME_TOTAL, offsets_of, read_only
 from ssp_lp.column_generation.column import (
     Column,
@@ -223,9 +223,9 @@ def _lattice_attempts(
 def prove_by_units(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """Prove a bound by split or rounded costs, from the model alone.
 
-    Units get smaller until the gap is within the tolerance, or as small as the solution's own gap.
-    That gap serves as a stopping rule alone. With split costs the proof also stops when a smaller
-    unit hardly improves the bound.
+    Units get smaller until the gap is within the tolerance, or hardly larger than the gap that the
+    solution claims. This claim only decides when to stop. With split costs the proof also stops
+    when a smaller unit hardly improves the bound.
 
     Args:
         solution: a solution of a problem with split or rounded costs.
@@ -262,7 +262,7 @@ def _split_proofs(
 
 
 def _true_lottery(problem: Problem, outcome: Optimum[Any]) -> Answer:
-    """Return the best lottery on the true model of the policies found with one unit."""
+    """Return the best lottery of policies found with one unit, evaluated on the true model."""
     row, least, columns, found = outcome.row, outcome.least, list[Column](), None
     pricing = outcome.compiled.pricing()
     pricing = pricing.counting_success() if row.by_goal else pricing
@@ -292,30 +292,41 @@ def _true_columns(problem: Problem, outcome: Optimum[Any]) -> list[Column]:
     generated, pricing, row = outcome.generated, outcome.compiled.pricing(), outcome.row
     columns, last, one_sided = list[Column](), generated.columns[0], len(generated.columns) == 1
     with WithIncumbent() as search:
-        columns.append(_true_column(problem, outcome, pricing.policy(generated.columns[0])))
+        columns.append(_true_column(problem, outcome, pricing.policy(last), last))
         shift = columns[0].failure - generated.columns[0].failure
         if abs(shift) > _SHIFT:
             columns += _columns_beside(problem, outcome, shift)
         for column in generated.columns[1:] if len(columns) == 1 else ():
-            columns.append(_true_column(problem, outcome, pricing.policy(column)))
+            columns.append(_true_column(problem, outcome, pricing.policy(column), column))
         for factor in _BESIDE:
             within = [_keeps_to_budget(column, row) for column in columns]
             if is_late() or (any(within) and (one_sided or not all(within))):
                 break
             price = outcome.kappa / factor if any(within) else outcome.kappa * factor
             last = pricing.minimise(price, last)
-            columns.append(_true_column(problem, outcome, pricing.policy(last)))
+            columns.append(_true_column(problem, outcome, pricing.policy(last), last))
     if search.stop and not any(_keeps_to_budget(column, row) for column in columns):
         raise search.stop
     return columns
 
 
-def _true_column(problem: Problem, outcome: Optimum[Any], policy: Policy) -> Column:
+def _true_column(
+    problem: Problem, outcome: Optimum[Any], policy: Policy, split: Column | None = None
+) -> Column:
     """Evaluate on the true model a policy that was found with split costs.
 
-    There the policy remembers the cost paid rounded to the nearest level. Levels are multiples of
-    the unit, or of a fraction of it if the cheapest step would otherwise round to 0.
+    On the true model the policy remembers the cost paid, rounded to the nearest level. Levels are
+    multiples of the unit or, if the cheapest step would round to 0, of a fraction of the unit. A
+    policy without a step whose cost was split needs no evaluation: its runs are those with split
+    costs.
+
+    Args:
+        problem: a problem of case S.
+        outcome: optimum of the model with split costs.
+        policy: the policy.
+        split: the policy's column with split costs, if known.
     """
+    is_same = split is not None and not _takes_split_costs(policy, outcome, problem.model)
     if isinstance(policy, CostAwarePolicy):
         unit, most = _unit_of(outcome), problem.cost_levels
         room = _CELLS // max(problem.model.n_states, 1) if most is None else most
@@ -336,20 +347,40 @@ def _true_column(problem: Problem, outcome: Optimum[Any], policy: Policy) -> Col
         )
     elif isinstance(policy, DeterministicPolicy):
         policy = replace(policy, model=problem.model)
-    evaluation = evaluate(policy, problem)
-    failure, goal = evaluation.limited_failure, evaluation.goal_probability
-    if evaluation.discounted_failure is not None:
-        goal = 1.0 - failure
-    cost = evaluation.objective * goal if goal > 0.0 else 0.0
+    if split is not None and is_same:
+        return replace(split, choice=None, swept=None, policy=policy)
+    cost, failure, goal = success_figures(policy, problem)
     return Column(cost, failure, goal, None, policy=policy)
+
+
+def _takes_split_costs(policy: Policy, outcome: Optimum[Any], model: SSP) -> bool:
+    """Return whether a policy may take, in any layer, a pair one of whose costs was split.
+
+    Args:
+        policy: a policy on the model with split costs.
+        outcome: optimum of that model.
+        model: the true model.
+    """
+    counts = [np.diff(m.outcome_offsets) for m in (outcome.compiled.facts.model, model)]
+    split = counts[0] != counts[1]
+    states = np.unique(model.pair_state[split])
+    if isinstance(policy, CostAwarePolicy):
+        decision, tails = policy.decision[:, states], policy.tails[:, states]
+        pairs = np.where(decision < 0, decision, model.pair_offsets[states] + decision)
+        pairs = np.append(pairs, tails)
+    elif isinstance(policy, DeterministicPolicy):
+        pairs = policy.decision[states]
+    else:
+        return True
+    return bool(split[pairs[pairs >= 0]].any())
 
 
 def _columns_beside(problem: Problem, outcome: Optimum[Any], shift: float) -> list[Column]:
     """Return columns on both sides of the budget, evaluated on the true model.
 
-    The sweep of the first column also found policies of other failure probabilities. Rounding
-    changes the failure of all of them by about the same amount. So the policies are taken whose
-    failure, after this change, should be just below and just above the budget.
+    The sweep that found the first column also found policies of other failure probabilities.
+    Rounding changes all these failure probabilities by about ``shift``. The policies returned are
+    those whose failure plus ``shift`` lies just below or just above the budget.
 
     Args:
         problem: a problem of case S.
@@ -509,7 +540,7 @@ def _split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction
 
 
 def _span_of_steps(problem: Problem) -> float:
-    """Return the span of totals that split costs distinguish, without costs of last steps."""
+    """Return :func:`span_of_totals`, with only the costs of steps that do not end the episode."""
     return span_of_totals(problem, float(step_costs(problem.model)[1][-1]))
 
 
@@ -521,9 +552,10 @@ def split_optimum(
     most: int | None = None,
     reach: float = np.inf,
 ) -> Optimum[Any]:
-    """Return the optimum with costs split on a unit, or on a larger one if it has too many layers.
+    """Return the optimum with costs split on a unit, or on a larger unit to save layers.
 
-    If no larger unit has few enough layers either, accumulated cost is capped.
+    If the larger units that are tried have more than ``most`` layers, too, the accumulated cost is
+    capped.
 
     Args:
         problem: a problem of case S.
@@ -556,7 +588,6 @@ def split_optimum(
 
 
 def _unit_of(outcome: Optimum[Any]) -> Fraction:
-    """Return the cost unit of an optimum's process."""
     return cast("CompiledLayered", outcome.compiled).layer.base.exact_unit
 
 
@@ -672,11 +703,11 @@ def lattice_bound(
 def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     """Return a policy of the model with costs rounded up as a policy of the model itself.
 
-    It remembers the sum of the rounded costs. A policy without memory gets one layer, so that its
-    costs are evaluated as rounded, too.
+    The result remembers the sum of the rounded costs. A policy without memory gets one layer, so
+    that it is evaluated with rounded costs as well.
 
     Raises:
-        ModelError: its memory is not the cost paid.
+        ModelError: the policy has a memory other than the cost paid.
     """
     if isinstance(policy, CostAwarePolicy):
         return replace(policy, model=model, rounds_up=True)

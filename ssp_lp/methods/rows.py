@@ -128,9 +128,9 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 def _may_be_rarer(
     stated: CompiledExplicit, optimum: Optimum[CompiledExplicit], options: SolveOptions
 ) -> bool:
-    """Return whether success is so rare that counting it directly gives a better optimum.
+    """Return whether counting success directly gives a better optimum than counting 1 - failure.
 
-    The first search counts success as 1 - failure. A second one counts it directly, within slightly
+    This happens if success is very rare. The search that counts success directly has slightly
     tighter limits, so that the tolerance of a limit alone cannot make its optimum better.
     """
     if not stated.may_be_rare or optimum.gap <= options.tolerance or is_late():
@@ -146,13 +146,11 @@ def _may_be_rarer(
 
 
 def is_rarely_reached(stated: CompiledExplicit, goal: float) -> bool:
-    """Return whether success is so rare that 1 - failure would lose its digits.
-
-    Then the goal probability must be counted directly.
+    """Return whether success must be counted directly, because 1 - failure would lose its digits.
 
     Args:
         stated: the problem.
-        goal: goal probability of its policy.
+        goal: goal probability of the best policy found.
     """
     return stated.may_be_rare and 0.0 < goal < RARE_GOAL
 
@@ -296,7 +294,7 @@ def _rows_attempt(
 
 
 def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | None:
-    """Return the value of a lottery with its members' costs on the model; None: one is unknown."""
+    """Return the value of a lottery by the exact costs of its policies; None if one is unknown."""
     costs = [compiled.pricing().true_cost(column) for column in generated.columns]
     known = [cost for cost in costs if cost is not None]
     if len(known) < len(costs):
@@ -306,10 +304,10 @@ def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | Non
 
 
 def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
-    """Return a master that continues a search on a process with a higher cap; None: it has no cap.
+    """Return a master that continues a search on a process with a higher cap.
 
-    The failure and the row activities of its policies do not depend on the cap, so its lottery
-    still satisfies the rows.
+    Only the costs of policies depend on the cap, not their failure or their activity in a row. So
+    the lottery of the search still satisfies the rows. The result is None if there is no cap.
 
     Args:
         search: the master of the search with the lower cap.
@@ -325,14 +323,14 @@ def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
 def _granted(
     compiled: CompiledExplicit, rows: Rows, finished: bool
 ) -> tuple[dict[str, float], str]:
-    """Return the bounds that phase 1 raised, and a note about them and about a search cut short.
+    """Return the bounds that phase 1 raised, and a note if it raised any or the search was stopped.
 
     A bound that lies below the attainable value by rounding alone is raised to that value.
 
     Args:
         compiled: the problem, with the stated bounds.
         rows: the limited rows, with the bounds that the search used.
-        finished: whether the search ended by itself.
+        finished: whether the search ended before the time limit.
 
     Returns:
         The raised bounds by name, and the note.
@@ -366,7 +364,7 @@ def best_lottery(compiled: CompiledExplicit, opened: Master, options: SolveOptio
 
     Raises:
         InfeasibleError: case S, and no policy within the limits reaches the goal.
-        SolverError: the time limit was reached before such a policy was found.
+        SolverError: the time limit was reached before a policy that reaches the goal was found.
     """
     generated = generate(opened, options)
     if not np.isfinite(generated.objective):
@@ -387,9 +385,10 @@ def true_lottery(
     weights: FloatArray,
     figures: Callable[[Policy], FloatArray],
 ) -> Generated | None:
-    """Return the best lottery within the rows, by the values of its policies on the model.
+    """Return the best lottery within the rows, with its policies evaluated on the model.
 
-    Candidates are the best policies of a rounded process, and policies at steeper prices.
+    Candidates are the best policies found on the rounded process, and policies that are optimal at
+    higher prices.
 
     Args:
         compiled: the problem.
@@ -437,7 +436,8 @@ def true_figures(
 ) -> Truth | None:
     """Return two functions that evaluate policies on the model, not on a truncated process.
 
-    The result is None if the problem has no accumulated cost, since its process is exact.
+    The first returns the minimised value of a lottery, the second the cost, failure and rows of one
+    policy, [rewards]. The result is None without accumulated cost, since the process is then exact.
 
     Args:
         problem: the problem.
@@ -453,7 +453,7 @@ def true_figures(
     def own_value(policy: MixedPolicy) -> float:
         """Return the minimised value of a lottery, from its objective.
 
-        ``worth`` maps either to the other, since ``constant - value`` is its own inverse.
+        ``worth`` converts in both directions, since ``constant - value`` is its own inverse.
         """
         return stated.sense.worth(evaluate(policy, unlimited).objective)
 
@@ -505,13 +505,14 @@ def phase_one(
     """Run phase 1: add columns until a lottery satisfies all rows.
 
     Args:
-        compiled: the problem, of least failure if the stated budget equals it.
+        compiled: the problem to solve: ``stated`` or, if the budget equals the least failure, the
+            problem of least failure.
         stated: the problem with the stated budget.
         options: tolerance and limits.
 
     Returns:
-        The master of phase 2. Its bounds that lie below the attainable value by rounding alone are
-        raised to that value. In case S its ratio is that of a known lottery.
+        The master of phase 2. A bound that lies below the attainable value by rounding alone is
+        raised to that value. In case S the ratio is the cost given success of a known lottery.
 
     Raises:
         InfeasibleError: the rows are in conflict.
@@ -611,7 +612,7 @@ def _infeasible(
 
 
 def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict | None:
-    """Return the conflict of rows that the prices of phase 1 prove (Farkas); None: they prove none.
+    """Return the conflict of rows that the prices of phase 1 prove (Farkas), or None.
 
     Args:
         pool: the policies of phase 1.
@@ -851,7 +852,7 @@ def bound_at(
 
 
 def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
-    """Prove a lower bound of the objective from a solution's prices of all rows and its values.
+    """Prove a lower bound of the objective from a solution's value function and its row prices.
 
     Raises:
         ModelError: the solution has no value function, or one that does not fit the problem.
@@ -880,7 +881,7 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
     def prove(weights: FloatArray) -> Proof:
         """Return the proof at weights of the rewards, from the solution's value function.
 
-        Without a value function the pricing problem is solved for the proof.
+        A value function of the game has other layers: then the pricing problem is solved instead.
         """
         if own_values is None:
             return pricing.prove(weights, pricing.minimise(weights))
@@ -898,7 +899,7 @@ def proved_at_prices(
     prove: Callable[[FloatArray], Proof],
     ratios: Sequence[float] = (0.0,),
 ) -> Proved:
-    """Return the bound of the objective that prices of the rows prove, with a lottery's objective.
+    """Return a lottery's objective and the bound that prices of the rows prove.
 
     Args:
         compiled: the problem.

@@ -138,7 +138,7 @@ def check_fields(made: object) -> None:
 
 
 def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
-    """Return an error text for the first value that does not fit its annotation; None: all fit."""
+    """Return an error text for the first value that does not fit its annotation, else None."""
     names = {**vars(sys.modules[annotated.__module__]), "npt": _NUMPY}
     for part, annotation in get_annotations(annotated).items():
         if part not in values:
@@ -154,7 +154,7 @@ def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
 
 
 def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | None:
-    """Return an error text for a value that does not fit its annotation; None: it fits.
+    """Return an error text for a value that does not fit its annotation, else None.
 
     The text names the value, or the entry of it that does not fit, and the expected type. At most
     ``most`` entries of a dict or a list are examined.
@@ -185,7 +185,10 @@ def _misfit(place: str, value: Any, hint: Any, *, most: int = 10_000) -> str | N
 
 
 def holder_of(value: object, kind: Any) -> str:
-    """Return a hint at a value's ``.policy``, ``.model`` or ``.problem`` if its type is right."""
+    """Return a hint that an attribute of a value has the expected type; empty if none has.
+
+    The hint names ``.policy``, ``.model`` or ``.problem``, and is a clause for the end of an error.
+    """
     for name in ("policy", "model", "problem") if kind not in _WORDS else ():
         if hasattr(value, name) and _fits(getattr(value, name), kind):
             return f"; it has one: .{name}"
@@ -193,7 +196,7 @@ def holder_of(value: object, kind: Any) -> str:
 
 
 def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:
-    """Return whether a value has the annotated type; the types of its entries are not checked."""
+    """Return whether a value has the annotated type; entries of a list or dict are not checked."""
     if kind is Literal:
         return value in parts
     if kind is Callable:

@@ -85,17 +85,18 @@ class Boxes(Report, ReadOnlyCopies):
     @classmethod
     @explained
     def from_counts(cls, model: SSP, confidence: float = 0.95) -> Boxes:
-        """Return the intervals of Clopper and Pearson (1934) that hold jointly.
+        """Return confidence intervals of all probabilities, from the counts of a model's outcomes.
 
-        The probability of error, 1 - ``confidence``, is divided equally among the intervals (union
-        bound). A pair with one successor needs no interval. A pair with two successors needs one
-        interval, since the other one is its complement. A successor without a row in the table of
-        counts is taken to be impossible. For a possible successor that was never seen, add a
-        row with count 0.
+        The intervals are those of Clopper and Pearson (1934). All of them hold at once with the
+        given confidence: the probability of error, 1 - ``confidence``, is divided equally among
+        them (union bound). A pair with one successor needs no interval. A pair with two successors
+        needs one interval, since the other one is its complement. A successor without a row in the
+        table of counts is taken to be impossible. For a possible successor that was never seen, add
+        a row with count 0.
 
         Args:
             model: model made by :meth:`ssp_lp.SSP.from_counts`.
-            confidence: probability that the true probabilities lie in all boxes, in (0, 1).
+            confidence: probability that all intervals contain the true probabilities, in (0, 1).
 
         Raises:
             ModelError: a model without counts, or a confidence out of range.
@@ -214,13 +215,16 @@ def posterior_draws(
 
 
 def forced(low: FloatArray, high: FloatArray, chosen: BoolArray, offsets: IntArray) -> BoolArray:
-    """Return a mask of the boxes in which every distribution has mass on chosen entries, [boxes].
+    """Return the groups in which every distribution makes some chosen entry possible, [groups].
+
+    A group holds the outcomes of one pair or decision. A distribution gives each entry a
+    probability within the entry's interval.
 
     Args:
         low: least probability of each entry, [entries].
         high: greatest probability of each entry, [entries].
         chosen: mask of the chosen entries, [entries].
-        offsets: box k has the entries ``offsets[k] : offsets[k + 1]``, [boxes + 1].
+        offsets: group k has the entries ``offsets[k] : offsets[k + 1]``, [groups + 1].
     """
     mass = segment_sums(np.where(chosen, low, 0.0), offsets)
     room = segment_sums(np.where(chosen, 0.0, high), offsets)
@@ -230,16 +234,17 @@ def forced(low: FloatArray, high: FloatArray, chosen: BoolArray, offsets: IntArr
 def greatest_mean(
     low: FloatArray, high: FloatArray, worth: FloatArray, offsets: IntArray
 ) -> FloatArray:
-    """Return the distribution in each box that has the greatest mean of given values, [entries].
+    """Return the distribution of each group that has the greatest mean of given values, [entries].
 
-    Each entry first gets its least probability. The remaining mass goes to the entries of greatest
-    value, each up to its greatest probability.
+    A group holds the outcomes of one pair or decision. Each entry first gets its least probability.
+    The remaining probability goes to the entries of greatest value, each up to its greatest
+    probability.
 
     Args:
         low: least probability of each entry, [entries].
         high: greatest probability of each entry, [entries].
         worth: value of each entry, [entries].
-        offsets: box k has the entries ``offsets[k] : offsets[k + 1]``, [boxes + 1].
+        offsets: group k has the entries ``offsets[k] : offsets[k + 1]``, [groups + 1].
     """
     order, lengths = np.lexsort((-worth, segment_ids(offsets))), np.diff(offsets)
     chosen, missing = np.array(low), 1.0 - segment_sums(low, offsets)

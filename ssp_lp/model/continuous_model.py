@@ -77,21 +77,31 @@ class Axis:
         return (self.high - self.low) / self.cells
 
     def misses(self, heights: FloatArray) -> BoolArray:
-        """Return a mask of heights (distances above low, in cell widths) off the axis, or NaN."""
+        """Return a mask of the heights that are NaN or lie outside the axis.
+
+        A height is the distance of a coordinate above ``low``, in cell widths. A finite height is
+        never outside a periodic axis.
+        """
         if self.periodic:
             return ~np.isfinite(heights)
         return ~((heights >= -ON_EDGE) & (heights <= self.cells + ON_EDGE))
 
     def above(self, heights: FloatArray) -> IntArray:
-        """Return the cell at each height above low, in cell widths; on an edge the upper cell."""
+        """Return the index of the cell at each height; on an edge that of the upper cell.
+
+        Heights are distances above ``low``, in cell widths.
+        """
         return self._numbered(np.floor(heights + ON_EDGE))
 
     def below(self, heights: FloatArray) -> IntArray:
-        """Return the cell at each height above low, in cell widths; on an edge the lower cell."""
+        """Return the index of the cell at each height; on an edge that of the lower cell.
+
+        Heights are distances above ``low``, in cell widths.
+        """
         return self._numbered(np.ceil(heights - ON_EDGE) - 1.0)
 
     def wrapped(self, values: FloatArray) -> FloatArray:
-        """Return values on a periodic axis moved into [low, high); on another axis unchanged."""
+        """Return values, on a periodic axis moved into [low, high) by whole periods."""
         if not self.periodic:
             return values
         return self.low + np.mod(values - self.low, self.high - self.low)
@@ -107,7 +117,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Grid:
-    """The cells of a box, numbered with the first axis slowest and the last one fastest."""
+    """The cells of a box, numbered so that the position along the last axis varies fastest."""
 
     axes: tuple[Axis, ...]
 
@@ -141,7 +151,14 @@ class Grid:
 
     @explained
     def index_of(self, cells: npt.ArrayLike) -> tuple[IntArray, ...]:
-        """Return the position of each cell along each axis; :class:`ModelError` if unknown."""
+        """Return the position of each cell along each axis.
+
+        Args:
+            cells: a number for each cell, in any shape.
+
+        Raises:
+            ModelError: a number that no cell has.
+        """
         given = np.asarray(cells)
         if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
             raise ModelError(f"cells are whole numbers 0 .. {self.n_cells - 1}; ends are no cells")
@@ -149,16 +166,23 @@ class Grid:
 
     @explained
     def centre(self, cells: npt.ArrayLike) -> FloatArray:
-        """Return the midpoints of cells: numbers of any shape -> [..., axes]."""
+        """Return the midpoints of cells, [..., axes], from an array of cell numbers, [...].
+
+        Raises:
+            ModelError: a number that no cell has.
+        """
         index = zip(self.axes, self.index_of(cells), strict=True)
         return np.stack([axis.low + (k + 0.5) * axis.width for axis, k in index], axis=-1)
 
     @explained
     def place(self, state: int) -> tuple[int, int] | None:
-        """Return a state's position along the first two axes, for pictures; None for the ends.
+        """Return a cell's position along the first two axes, for pictures.
+
+        For a state of the discretised model that is not a cell, the goal or a dead-end, return
+        None.
 
         Raises:
-            ModelError: the grid has one axis, or no state has this number.
+            ModelError: the grid has one axis, or the number is negative.
         """
         if len(self.axes) < 2:
             raise ModelError("grid.place needs a grid of at least two axes")
@@ -169,7 +193,10 @@ class Grid:
 
     @explained
     def cell_of(self, points: npt.ArrayLike) -> Any:
-        """Return the cell of each point: [..., axes] -> numbers, an int for a single point.
+        """Return the number of the cell that contains each point, [...]; an int for a single point.
+
+        Args:
+            points: coordinates, [..., axes].
 
         Raises:
             ModelError: a point lies outside the box, or has another number of coordinates.
@@ -192,7 +219,10 @@ class Grid:
         )
 
     def misses(self, heights: Coordinates) -> BoolArray:
-        """Return a mask of the points outside the box, in a shape that broadcasts to the points."""
+        """Return a mask of the points outside the box; its shape broadcasts to that of the points.
+
+        ``heights`` has an array for each axis: distances above its low end, in cell widths.
+        """
         missed: BoolArray = np.zeros((), dtype=np.bool_)
         for axis, values in zip(self.axes, heights, strict=True):
             off = axis.misses(values)
@@ -201,12 +231,13 @@ class Grid:
         return missed
 
     def numbers_about(self, heights: Coordinates, *, split: bool = True) -> list[IntArray]:
-        """Return arrays of cells, one cell of each point in each array.
+        """Return the cells that contain each point, as a list of arrays of cell numbers.
 
-        There is one array unless points lie on an edge of an axis with ``split_edges``. Then there
-        are two, for the lower and the upper cell at the edge (4, 8, ... with several such axes): a
-        point on the edge counts half in each cell, and other points have equal cells in both. On
-        an edge of another axis a point belongs to the upper cell.
+        The list has one array, except if points lie on an edge of an axis with ``split_edges``. It
+        then has two arrays, with the lower and the upper cell at the edge; a point counts half in
+        each. Points that are not on an edge have the same cell in both arrays. If points lie on
+        edges of several such axes, there are 4, 8, ... arrays. On an edge of any other axis the
+        point belongs to the upper cell.
         """
         parts: list[list[IntArray]] = []
         for axis, stride, values in zip(self.axes, self.strides, heights, strict=True):
@@ -234,9 +265,9 @@ class Grid:
 class Distribution(ReadOnlyCopies):
     """A random number, given by its quantile function; independent of all others.
 
-    ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal one. The quantile function may be
-    any non-decreasing vectorised function from levels in (0, 1) to values. :meth:`uniform` and
-    :meth:`discrete` make common distributions.
+    ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal distribution. The quantile function
+    may be any non-decreasing vectorised function from levels in (0, 1) to values. :meth:`uniform`
+    and :meth:`discrete` make common distributions.
     """
 
     quantile: Callable[[FloatArray], npt.ArrayLike]
@@ -316,25 +347,25 @@ Allowed = Callable[[Coordinates, Any], npt.ArrayLike]
 class ContinuousModel:
     """A continuous world: coordinates, a step function, and a grid of cells for its policies.
 
-    **The step function** is called with one action and many points at a time:
-    ``step(point, action, noise) -> (new point, cost, end)``. ``point`` holds one array for each
-    axis, ``noise`` one for each random number; the arrays broadcast against each other and need
-    not be of one shape, so work with them as with numbers (``np.where``, no boolean masks).
-    It returns one array for each axis, the cost (>= 0) and the end. The end is a whole number: 0 if
-    the episode goes on, 1 if it reached the goal, 2, 3, ... if it failed in the first, second, ...
-    dead-end. Each is a number, or an array that broadcasts to the others.
+    **The step function** is called with one action and many points at a time: ``step(point, action,
+    noise) -> (new point, cost, end)``. ``point`` holds one array for each axis, ``noise`` one for
+    each random number; the arrays broadcast against each other and need not be of one shape, so
+    work with them as with numbers (``np.where``, no boolean masks). It returns one array for each
+    axis, the cost (>= 0) and the end. The end is a whole number: 0 if the episode goes on, 1 if it
+    reached the goal, 2, 3, ... if it failed in the first, second, ... dead-end. Each of these
+    results is a number, or an array that broadcasts to the others.
 
     Attributes:
         grid: the box of coordinates and its cells.
         actions: available in every cell, unless ``allowed`` is given.
         step: the step function.
         noise: the independent random numbers that a step draws.
-        dead_ends: label of each way to fail -> cost of each stage spent in it; the library
-            charges it only if the criterion does (``charge_failing_step``).
+        dead_ends: label of each way to fail -> cost of each stage spent in it; the library charges
+            it only if the criterion does (``charge_failing_step``).
         outside: the dead-end of a step that leaves the box; None: such a step is an error.
         alike: function that groups pairs with exactly equal outcomes, so that each group is
-            computed once. It maps (positions of cells along each axis, positions of actions) to
-            the number of the group, a whole number >= 0 (small numbers need less memory).
+            computed once. It maps (positions of cells along each axis, positions of actions) to the
+            number of the group, a whole number >= 0 (small numbers need less memory).
         allowed: function that says which actions a cell has: ``allowed(point, action) -> truth
             values``, called with the midpoints of many cells, an array for each axis. The answer at
             the midpoint holds for the whole cell, in the model and in the simulated world; ``step``
@@ -402,7 +433,7 @@ class ContinuousModel:
             answer = np.asarray(self.allowed(middles, action))
             if answer.dtype != np.bool_ or answer.shape not in ((), (count,)):
                 raise ModelError(
-                    f"allowed must return True or False for each of {count:,} cells, not "
+                    f"allowed() must return True or False for each of {count:,} cells, not "
                     f"{in_short(answer)}"
                 )
             there[:, k] = answer
@@ -432,7 +463,7 @@ class ContinuousModel:
 
 
 class _Taken(NamedTuple):
-    """Result of a step from many points; every array broadcasts to the shape of the points."""
+    """Results of a step from many points; every array broadcasts to the shape of the points."""
 
     point: Coordinates
     heights: Coordinates  # in widths of a cell above the low ends; 0 if off the axis
@@ -453,7 +484,7 @@ def take_step_in_world(
         model: the world.
         point: an array for each axis, with as many dimensions as ``shape``, broadcasting to it.
         action: position of the action among the model's actions.
-        noise: an array for each random number, shaped like those of ``point``.
+        noise: an array for each random number, also with as many dimensions as ``shape``.
         shape: common shape of the points.
 
     Raises:
@@ -463,7 +494,7 @@ def take_step_in_world(
     moved, cost, end = _read_world(model.step(point, name, noise), len(grid.axes), shape)
 
     def refuse(broken: BoolArray, words: str) -> None:
-        """Raise :class:`ModelError` for the first point with a wrong result."""
+        """Raise :class:`ModelError` for the first point at which ``broken`` is True."""
         if broken.any():
             first = tuple(np.argwhere(np.broadcast_to(broken, shape))[0])
             begin, there = (
@@ -498,12 +529,12 @@ def _read_world(
 ) -> tuple[Coordinates, FloatArray, IntArray]:
     """Return the checked coordinates, cost and end in the answer of a step function."""
     if not isinstance(answer, tuple) or len(answer) != 3:
-        raise ModelError(f"step must return (new point, cost, end), not {type(answer).__name__}")
+        raise ModelError(f"step() must return (new point, cost, end), not {type(answer).__name__}")
     moved, paid, ended = answer
     listed = isinstance(moved, Sequence) or (isinstance(moved, np.ndarray) and moved.ndim > 0)
     count = len(moved) if listed else "no"
     if count != n_axes:
-        raise ModelError(f"step returned {count} coordinates; there are {n_axes} axes")
+        raise ModelError(f"step() returned {count} coordinates; there are {n_axes} axes")
     coordinates = tuple(
         _shaped_answer(c, shape, f"coordinate {number}").astype(np.float64, copy=False)
         for number, c in enumerate(moved)
@@ -511,12 +542,16 @@ def _read_world(
     cost = _shaped_answer(paid, shape, "the cost").astype(np.float64, copy=False)
     end = _shaped_answer(ended, shape, "the end")
     if end.dtype.kind not in "biu":
-        raise ModelError("step must return ends as whole numbers: 0 goes on, 1 goal, 2 .. dead-end")
+        ends = "0 (goes on), 1 (goal), 2 or more (dead-end)"
+        raise ModelError(f"step() must return ends as whole numbers: {ends}")
     return coordinates, cost, end
 
 
 def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[Any]:
-    """Return an array from a step function with as many dimensions as ``shape``, checked."""
+    """Check a result of a step function and return it as an array that broadcasts to ``shape``.
+
+    The array has as many dimensions as ``shape``; ``what`` names the result in errors.
+    """
     array = np.asarray(answer)
     array = array.reshape((1,) * (len(shape) - array.ndim) + array.shape)
     fits = array.ndim == len(shape) and all(
@@ -524,7 +559,7 @@ def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> 
     )
     if not fits or array.dtype.kind not in "biuf":
         raise ModelError(
-            f"step returned {what} of shape {np.shape(answer)} and type {array.dtype}; it must "
+            f"step() returned {what} of shape {np.shape(answer)} and type {array.dtype}; it must "
             f"be real numbers that broadcast to {shape}, the shape of all points"
         )
     return array
@@ -535,10 +570,10 @@ def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> 
 class WorldSimulator:
     """Simulator of the continuous world: ``simulate(..., simulator=WorldSimulator(...))``.
 
-    Episodes are played by the step function, not in the discretised model. So the interval that
-    ``simulate`` returns for the probability of the goal holds for the policy in the continuous
-    world; it is that of Clopper and Pearson, exact for every number of episodes. An episode in
-    which the policy gives up ends as a failure.
+    Episodes are played by the step function, not in the discretised model. So the confidence
+    interval of the goal probability that ``simulate`` returns holds in the continuous world. The
+    interval is exact for every number of episodes (Clopper and Pearson). An episode in which the
+    policy gives up ends as a failure.
 
     Attributes:
         world: the continuous model.

@@ -39,11 +39,12 @@ class _Trials(NamedTuple):
 @explained_class
 @dataclass(frozen=True)
 class Quadrature:
-    """All combinations of points in the cell, axis by axis, and of levels of the noise.
+    """Trials at every combination of quadrature points along the axes and of levels of the noise.
 
     Attributes:
         points: number of points for each axis and each random number: one number for all, or one
-            for each axis and then for each random number. Discrete noise takes its own values.
+            for each axis and then for each random number. Noise with finitely many values uses
+            these values instead.
         rule: "midpoint": equal parts with a point in the middle of each, and equal weights.
             "gauss-legendre": the nodes and weights of Gauss and Legendre, which average smooth
             costs over a cell more accurately. For probabilities, which are integrals of functions
@@ -78,7 +79,10 @@ class Quadrature:
         return _Trials(tuple(map(len, shares)), None if equal else combined, draw, repeatable=True)
 
     def _parts(self, model: ContinuousModel) -> list[tuple[FloatArray, FloatArray]]:
-        """Return points and weights for each axis, in cell widths, and for each random number."""
+        """Return points and weights for each axis, then for each random number.
+
+        Points of an axis are fractions of a cell's width, in (0, 1).
+        """
         n_axes, n_noise = len(model.grid.axes), len(model.noise)
         given = self.points
         counts: list[Any] = np.ravel(given).tolist() * (1 if np.ndim(given) else n_axes + n_noise)
@@ -132,7 +136,7 @@ class Samples:
         rng, axes = np.random.default_rng(self.seed), model.grid.axes
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
-            """Return the points drawn in some cells, and the noise at each."""
+            """Return random points in some cells, and the noise drawn at each point."""
             shape = (int(self.number), len(cells))
             index = zip(axes, model.grid.index_of(cells), strict=True)
             point = tuple(axis.low + (k + rng.random(shape)) * axis.width for axis, k in index)
@@ -214,7 +218,7 @@ TRIALS: Final = 1 << 19
 MIDPOINTS: Final = Quadrature()
 
 _SPREAD: Final = 4
-"""Greatest value of ``alike`` divided by the number of pairs, before values are renumbered."""
+"""Greatest group number of ``alike`` for each pair; above it the groups are renumbered."""
 
 _BUILDING = logging.getLogger("ssp_lp.building")
 
@@ -274,10 +278,10 @@ def discretised_rows(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[IntArray, Outcomes]:
-    """Return the outcomes of some states of a discretised world, as in :func:`discretise`'s model.
+    """Return the outcomes of consecutive states of the model that :func:`discretise` would build.
 
-    With a quadrature the outcomes do not depend on the requested range. If ``alike`` groups pairs,
-    one pair of each group in the range is computed for the whole group.
+    With a quadrature the outcomes of a state do not depend on the range. If ``world.alike`` groups
+    pairs, the outcomes of one pair of each group in the range are computed and copied.
 
     Args:
         world: the step function and the grid.
@@ -287,7 +291,8 @@ def discretised_rows(
         progress: called with the number of finished pairs and the total.
 
     Returns:
-        Number of actions of each state, [some states], and the outcomes of their pairs.
+        Number of actions of each state in the range, [states in the range], and the outcomes of
+        their pairs.
 
     Raises:
         ModelError: as :func:`discretise` does.
@@ -316,7 +321,10 @@ def _rows_of_pairs(
     pairs: IntArray,
     progress: Callable[[int, int], None] | None,
 ) -> list[Outcomes]:
-    """Return the outcomes of ascending pairs, in blocks; one pair is tried per ``alike`` group."""
+    """Return the outcomes of pairs in increasing order, as one or several blocks.
+
+    If ``world.alike`` groups pairs, only the first pair of each group is tried.
+    """
     distinct, row_of_pair = _distinct_pairs(world, pairs)
     parts, size = list[Outcomes](), max(1, TRIALS // math.prod(trials.shape))
     for begin in range(0, len(distinct), size):
@@ -332,7 +340,6 @@ def _rows_of_pairs(
 
 
 def _discretised_rows(world: ContinuousModel, trials: _Trials, pairs: IntArray) -> Outcomes:
-    """Return the outcomes of some pairs."""
     cells, action = np.divmod(pairs, len(world.actions))
     rows = [np.flatnonzero(action == number) for number in np.unique(action)]
     made = [_rows_of_action(world, trials, cells[some], int(action[some[0]])) for some in rows]
@@ -352,7 +359,7 @@ def _rows_of_action(
         reached = [np.where(taken.end == 0, cell, ends) for cell in reached]
 
     def by_cell(numbers: Any) -> Any:
-        """Return numbers of each trial as a row for each cell, [cells, trials]."""
+        """Return values, one for each trial, as an array with a row for each cell."""
         return np.broadcast_to(numbers, shape).reshape(-1, len(cells)).T
 
     states = np.empty((len(cells), len(reached), math.prod(trials.shape)), dtype=np.int32)
@@ -370,9 +377,10 @@ def _rows_of_action(
 
 
 def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, IntArray | None]:
-    """Return the first pair of each group of ``alike``, and for each pair the number of its group.
+    """Return the first pair of each group of ``world.alike``, and the group of each pair.
 
-    Without ``alike`` the result is all pairs, and None.
+    Groups are numbered in the order of their first pairs. Without ``alike`` the results are
+    ``pairs`` and None.
     """
     if world.alike is None or not len(pairs):
         return pairs, None
@@ -382,7 +390,7 @@ def _distinct_pairs(world: ContinuousModel, pairs: IntArray) -> tuple[IntArray, 
     index = tuple(places[:, None] for places in world.grid.index_of(cells))
     alike = np.asarray(world.alike(index, np.arange(n_actions)[None, :]))
     if alike.ndim > 2 or alike.dtype.kind not in "iu" or alike.min() < 0:
-        raise ModelError("alike must return whole numbers >= 0")
+        raise ModelError("alike() must return whole numbers >= 0")
     kinds = np.broadcast_to(alike, (len(cells), n_actions)).ravel()
     kinds = kinds if len(pairs) == len(kinds) else kinds[pairs - begin * n_actions]
     kinds = kinds - kinds.min()
@@ -405,7 +413,7 @@ def _repeated_rows(
     row_of_pair: IntArray,
     most_checks: int = 30,
 ) -> Outcomes:
-    """Return the outcomes of all pairs, copied from the first pair of each group of ``alike``.
+    """Return the outcomes of all pairs, copied from the first pair of each ``world.alike`` group.
 
     As a check, up to ``most_checks`` of the copied pairs are computed, too.
 

@@ -1,10 +1,10 @@
 """The product of a model with the failure label: runs continue after the goal is lost.
 
-In the paper's augmented MDP (section 3.1.2) the states are (x, s) and (x, f). A run with the label
-f continues, without cost, to its true end. This product is built for a problem that counts
-quantities after failing. Its states are (x, "before failing") and (x, "after failing"), and an
-action may change the label to the second. In a dead-end every action does. In an attention state
-each action that avoids the goal exists twice: plain, and with giving up, which changes the label.
+This product is built for a problem that counts quantities after failing. Its states are (x, "before
+failing") and (x, "after failing"), where x is a state of the model; the paper's augmented MDP
+(section 3.1.2) calls them (x, s) and (x, f). After failing a run continues to its true end. The
+step that fails changes the label: in a dead-end every action does. In an attention state each
+action that avoids the goal exists twice: as it is, and with giving up, which changes the label.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from ssp_lp.model.graph import (
     dead_ends,
     end_components,
     end_marks,
-    pairs_into,
     reaching_states,
     surely_ending,
 )
@@ -49,7 +48,7 @@ class FailureSSP(ProductSSP):
     open_pairs: BoolArray = field(kw_only=True)  # [original pairs] that may be taken after failing
     stops: BoolArray = field(kw_only=True)  # [states] where giving up ends the run
     charged: BoolArray = field(kw_only=True)
-    """Mask of pairs; the cheapest one in a state sets its charge of failing, [original pairs]."""
+    """Mask of pairs; failing in a state costs as much as its cheapest one, [original pairs]."""
     free_pairs: BoolArray = field(kw_only=True)  # [2, original pairs] before and after failing
     charges: bool = field(kw_only=True, default=False)  # whether failing costs anything
     original_pair: IntArray = field(kw_only=True)  # [pairs]
@@ -94,21 +93,24 @@ class FailureSSP(ProductSSP):
 
     @cached_property
     def stop_marks(self) -> IntArray:
-        """Number of the end of a run that stops in each state, [states].
+        """Number that says how a run ends if it stops in a state (``graph.end_marks``), [states].
 
-        It is the number of the dead-end or, elsewhere, of giving up (see ``graph.end_marks``).
+        In a dead-end the number is that of the dead-end, elsewhere that of giving up.
         """
         marks, gave_up = end_marks(self.original), len(self.state_labels) + 2
         return np.tile(np.where(dead_ends(self.original), marks, gave_up), 2)
 
     @cached_property
     def end_marks(self) -> IntArray:
-        """Number of a run's end in each state (``graph.end_marks``); -1: it continues, [states]."""
+        """Number that says how a run ends in a state (``graph.end_marks``), [states]."""
         return np.where(self.goal_mask, 0, np.where(self.ended, self.stop_marks, -1))
 
     @cached_property
     def priced(self) -> BoolArray:
-        """Mask of pairs; the cheapest one in a state sets its charge of failing, [pairs]."""
+        """Mask of the pairs by whose costs failing is charged, [pairs].
+
+        Failing in a state costs as much as the cheapest of these pairs of the state.
+        """
         before = ~np.append(self.is_open, np.ones(self.n_original, dtype=np.bool_))
         return self.fails | (before[self.pair_state] & self.charged[self.original_pair])
 
@@ -123,7 +125,7 @@ class FailureSSP(ProductSSP):
         """
         over = self.ended | self.goal_mask | self.stops
         over[self.pair_state[self._staying]] = True
-        return surely_ending(self, over, pairs_into(self, over), ~reaching_states(self, over))[:2]
+        return surely_ending(self, over, ~reaching_states(self, over))[:2]
 
     @cached_property
     def _staying(self) -> BoolArray:
@@ -135,28 +137,33 @@ class FailureSSP(ProductSSP):
 
     @property
     def staying_after(self) -> IntArray:
-        """Original pairs that a failed run may repeat for ever without adding to any quantity."""
+        """Original pairs that a failed run may repeat for ever without adding to a quantity."""
         return self.original_pair[self._staying & self.after[self.pair_state]]
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the product's pair in given states for original pairs; -1: none, [entries].
+        """Return the product's pair by which a state takes an original pair; -1: none, [entries].
 
-        Before failing it is the plain pair, without giving up; in a dead-end it sets the label.
+        In a dead-end before failing this is the pair that changes the label. In all other states it
+        is the pair that keeps the label.
 
         Args:
             states: states of the product, [entries].
-            pairs: original pairs, [entries].
+            pairs: original pair to take in each of these states, [entries].
         """
         taking = self.lost[states] & self.is_open[self.original_state[states]]
         return np.asarray(self._places[self.after[states] + 2 * taking, pairs])
 
     def giving_up_by(self, pairs: IntArray) -> IntArray:
-        """Return the product's pair for each original pair with giving up; -1: none, [entries]."""
+        """Return for each original pair its copy that gives up; -1: none, [entries]."""
         return np.asarray(self._places[2, pairs])
 
     @cached_property
     def _places(self) -> IntArray:
-        """Copies of pairs: plain, after failing, setting the label, [3, original pairs]."""
+        """Product's copies of each original pair; -1: none, [3, original pairs].
+
+        The rows are the copy before failing that keeps the label, the copy after failing, and the
+        copy that changes the label.
+        """
         places = np.full((3, self.original.n_pairs), -1, dtype=np.int64)
         kind = np.where(self.fails, 2, self.after[self.pair_state].astype(np.int64))
         places[kind, self.original_pair] = np.arange(self.n_pairs)
@@ -170,14 +177,14 @@ class FailureSSP(ProductSSP):
     def spread_costs(
         self, costs: FloatArray, charge: FloatArray, *, through: bool = False
     ) -> FloatArray:
-        """Return the costs of the product's outcomes from those of the original, [outcomes].
+        """Return the costs of the product's outcomes, [outcomes], given the costs of the original.
 
-        Costs end at the failure: the step that fails costs the charge, later steps cost nothing.
+        The step that fails costs the charge instead of its own cost, and later steps cost nothing.
 
         Args:
-            costs: [original outcomes].
+            costs: costs of the original's outcomes, [original outcomes].
             charge: cost of failing in each state in which a run goes on, [original states].
-            through: keep the original costs, also after failing, and charge nothing.
+            through: count all steps at their original costs, also after failing, without a charge.
         """
         counted = costs[self.original_outcome]
         if through:
@@ -195,10 +202,11 @@ def label_failing(
 
     Args:
         model: the model.
-        open_pairs: mask of pairs, of dead-ends and attention states, that may be taken after
-            failing, [pairs].
+        open_pairs: mask of the pairs that may be taken after failing, all in dead-ends and
+            attention states, [pairs].
         stops: mask of states in which giving up ends the run, [states].
-        charged: mask of pairs; failing in a state is charged the cost of the cheapest, [pairs].
+        charged: mask of pairs; failing in a state costs as much as the cheapest of its pairs in the
+            mask, [pairs].
         free_pairs: mask of pairs that add to no quantity, before and after failing, [2, pairs].
     """
     n, state = model.n_states, model.pair_state
@@ -217,18 +225,15 @@ def label_failing(
     names = model.action_names
     own = model.pair_action[original_pair].astype(np.int64)
     label, original_state = (read_only(part) for part in np.divmod(np.arange(2 * n), n))
-    parts = copied_parts(model, original_pair, outcome) | {
+    pair_offsets = offsets_of(np.bincount(state[original_pair] + n * after, minlength=2 * n))
+    graph = pair_offsets, offsets_of(lengths), model.successors[outcome] + n * failed
+    parts = copied_parts(model, *graph, original_pair, outcome) | {
         "action_names": (*names, *((GIVING_UP, name) for name in names)),
         "pair_action": read_only(own + len(names) * gives_up),
     }
     return FailureSSP(
         **parts,
         states=ProductStates(model.states, (BEFORE, AFTER), original_state, label),
-        pair_offsets=read_only(
-            offsets_of(np.bincount(state[original_pair] + n * after, minlength=2 * n))
-        ),
-        outcome_offsets=read_only(offsets_of(lengths)),
-        successors=read_only(model.successors[outcome] + n * failed, np.int32),
         goal_mask=read_only(np.append(model.goal_mask, np.zeros(n, dtype=np.bool_))),
         state_labels={
             name: read_only(np.append(members, members + n))

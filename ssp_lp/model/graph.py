@@ -127,7 +127,10 @@ def possible_steps(
 
 
 def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
-    """Decorate a function of a model: its result is stored with the model, arrays read-only."""
+    """Decorate a function of a model so that its result is computed once and stored with the model.
+
+    Arrays in the result become read-only.
+    """
 
     @wraps(find)
     def _fact(model: SSP) -> Fact:
@@ -152,32 +155,39 @@ def hopeless_states(model: SSP) -> BoolArray:
 
 
 def dead_ends(model: SSP) -> BoolArray:
-    """Return the dead-ends: hopeless states, in which a run ends without the goal, [states].
+    """Return the dead-ends: states in which a run ends without the goal, [states].
 
-    In a product with the failure label, dead-ends are only those hopeless states that end a run:
-    there a run may continue after failing.
+    In an ordinary model these are the hopeless states, from which no policy reaches the goal. In a
+    product with the failure label only some hopeless states are dead-ends, since in the others a
+    run may continue after failing.
     """
     label = model.failure_label
     return hopeless_states(model) if label is None else label.ended
 
 
+@with_twin
 def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
     """Return the states from which some policy may reach one of the given states, [states].
 
     Args:
         ends: mask of the given states, [states].
     """
-    before, frontier = model.predecessors, ends.nonzero()[0]
-    return reached_along(model.pair_state[before.pairs], before.offsets, frontier)
+    before, home, frontier = model.predecessors, model.pair_state, ends.nonzero()[0]
+    if not accelerated(len(before.pairs), _SEARCH):
+        return reached_along(home[before.pairs], before.offsets, frontier)
+    wanted = (~ends).astype(np.int64)
+    drain(model, np.ones(len(home), dtype=np.bool_), wanted, frontier)
+    return np.asarray(wanted <= 0)
 
 
 @kept
 def attention_states(model: SSP) -> BoolArray:
     """Return the states from which some policy surely avoids the goal, X_{d,or}, [states].
 
-    The greatest set of non-goal states each of which has no action or an action whose successors
-    all lie in the set (section 2.3); it contains the dead-ends. Computed as the complement of the
-    least set that contains the goal and every state all of whose actions may lead into the set.
+    They form the greatest set of non-goal states in which each state has no action, or an action
+    whose successors all lie in the set (section 2.3). Dead-ends belong to the set. The complement
+    is computed: the least set that contains the goals, and every state all of whose actions may
+    lead into the set.
     """
     open_pairs = np.ones(model.n_pairs, dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets)
@@ -196,14 +206,14 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
     Returns:
         A mask of the states, goals included, [states]; a mask of the pairs that never leave them,
         [pairs]; and the policy: for each state one of these pairs, which may lead nearer to the
-        goal, -1 at goals and elsewhere, [states].
+        goal, -1 at goals and outside the mask, [states].
     """
     hopeless = hopeless_states(model) if model.n_outcomes > _MANY_OUTCOMES else None
-    return surely_ending(model, model.goal_mask, goal_pairs(model), hopeless)
+    return surely_ending(model, model.goal_mask, hopeless)
 
 
 def surely_ending(
-    model: Graph, ends: BoolArray, leading: BoolArray, hopeless: BoolArray | None = None
+    model: Graph, ends: BoolArray, hopeless: BoolArray | None = None
 ) -> tuple[BoolArray, BoolArray, IntArray]:
     """Return the states from which some policy surely reaches an end, and a policy.
 
@@ -212,8 +222,8 @@ def surely_ending(
     Args:
         model: the graph.
         ends: states in which a run ends, [states].
-        leading: pairs that may lead to one of ``ends``, [pairs].
-        hopeless: states from which no policy reaches one of ``ends``, [states]; None: not known.
+        hopeless: mask of the states from which no policy reaches one of ``ends``, [states]; None:
+            not known.
     """
     open_pairs = np.ones(len(model.pair_state), dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets) + ends  # so that ``ends`` are never closed
@@ -223,18 +233,10 @@ def surely_ending(
         open_counts[lost] = 0
         drain(model, open_pairs, open_counts, lost.nonzero()[0])
         kept = open_counts > 0
-        nearer = nearer_pairs(model, leading & open_pairs, open_pairs)
+        nearer = nearer_pairs(model, None, open_pairs, ends=ends)
         lost = kept & ~ends & (nearer < 0)
         if not lost.any():
             return kept, open_pairs, nearer
-
-
-@kept
-def goal_pairs(model: SSP) -> BoolArray:
-    """Return the pairs that may lead to a goal, [pairs]."""
-    before, leading = model.predecessors, np.zeros(model.n_pairs, dtype=np.bool_)
-    leading[before.pairs[entries_of(before.offsets, model.goal_mask.nonzero()[0])[0]]] = True
-    return leading
 
 
 def pairs_into(model: Graph, states: BoolArray) -> BoolArray:
@@ -278,7 +280,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 
 
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
-    """Return the adjacency matrix of a graph for scipy, all of whose weights share one number."""
+    """Return the adjacency matrix of a graph for scipy: every weight is 1, stored once."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape, offsets = (len(offsets) - 1, len(offsets) - 1), narrow(offsets)
     return csr_of(weights, columns.astype(offsets.dtype, copy=False), offsets, shape)
@@ -286,60 +288,64 @@ def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
 
 @kept
 def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
-    """Return a pair of each state that may lead nearer to the goal, and the distance in steps.
-
-    Args:
-        model: the model.
+    """Return for each state a pair on a shortest path to a goal, and the length of the path.
 
     Returns:
-        The pairs, -1 at goals and where no goal can be reached, [states]; and the least numbers of
-        steps to a goal, [states].
+        The pairs, -1 at goals and where no goal can be reached, [states]; and the lengths in steps,
+        0 where there is no pair, [states].
     """
     distance = np.zeros(model.n_states, dtype=np.int32)
-    choice = nearer_pairs(model, goal_pairs(model), distance=distance)
-    return choice, np.where(choice >= 0, distance + 1, 0)
+    return nearer_pairs(model, None, distance=distance, ends=model.goal_mask), distance
 
 
 @with_twin
 def nearer_pairs(
     graph: Graph,
-    leaving: BoolArray,
+    leaving: BoolArray | None,
     usable: BoolArray | None = None,
     distance: IntArray | None = None,
+    *,
+    ends: BoolArray | None = None,
 ) -> IntArray:
-    """Return a pair of each state on a shortest path to one of the target pairs ``leaving``.
+    """Return a pair of each state on a shortest path to a target: a pair or a state.
 
     A state that has a target pair takes it. Of several pairs at the least distance the first one is
     taken.
 
     Args:
         graph: graph of a model, or of a process.
-        leaving: mask of the target pairs, [pairs].
+        leaving: mask of the target pairs, [pairs]; None: none.
         usable: mask of the pairs that may be taken, also as targets, [pairs]; None: all.
         distance: array of zeros that is overwritten with the number of steps before a target pair
-            is taken, [states] int32.
+            is taken, or until a target state, [states] int32.
+        ends: mask of the target states, if there are no target pairs, [states].
 
     Returns:
-        The pair of each state; -1 where no target pair can be reached, [states].
+        The pair of each state; -1 in ``ends`` and where no target can be reached, [states].
     """
     before, pair_state, n = graph.predecessors, graph.pair_state, graph.n_states
     choice = np.full(n, -1, dtype=np.int64)
-    useful: IntArray = (leaving if usable is None else leaving & usable).nonzero()[0]
+    if leaving is None:
+        taken: IntArray = np.zeros(0, dtype=np.int64) if ends is None else ends.nonzero()[0]
+    else:
+        useful = (leaving if usable is None else leaving & usable).nonzero()[0]
+        begun = useful[run_starts(pair_state[useful])]
+        taken = pair_state[begun]
+        choice[taken] = begun
     if accelerated(len(before.pairs), _SEARCH):
         from ssp_lp.compiled.graphs import search_backwards
 
-        begun = useful[run_starts(pair_state[useful])]
-        wanted, taken = np.ones(n, dtype=np.int64), pair_state[begun]
-        wanted[taken], choice[taken] = 0, begun
+        wanted = np.ones(n, dtype=np.int64)
+        wanted[taken] = 0
         open_pairs = np.ones(len(pair_state), dtype=np.bool_) if usable is None else usable.copy()
         reversed_graph = before.offsets, before.pairs, pair_state
         search_backwards(reversed_graph, open_pairs, wanted, taken, choice, distance)
         return choice
-    # Search breadth-first against the edges, from an added node n before all leaving pairs.
+    # Search breadth-first against the edges, from an added node n before all targets.
     # Unusable pairs are given to n itself, so that they reach no state. scipy returns the parent
     # of each state in the tree of the search, and doubling the jumps counts the steps to n.
     home = pair_state if usable is None else np.where(usable, pair_state, n)
-    sources = np.concatenate([home[before.pairs], pair_state[useful]])
+    sources = np.concatenate([home[before.pairs], taken])
     links = edges(sources, np.append(before.offsets, sources.size))
     check_time()
     parent = sp.csgraph.breadth_first_order(links, n)[1]
@@ -355,7 +361,6 @@ def nearer_pairs(
     after = np.repeat(steps[:n], np.diff(before.offsets)) + 1
     nearest = np.zeros(len(pair_state), dtype=np.bool_)
     nearest[before.pairs[steps[sources[: after.size]] == after]] = True
-    nearest[useful] = True
     best: IntArray = nearest.nonzero()[0]
     first = best[run_starts(pair_state[best])]
     choice[pair_state[first]] = first
@@ -400,7 +405,7 @@ def drain(
 def _drain_one_by_one(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> IntArray:
-    """Continue :func:`drain` state by state until many states wait; return the waiting states."""
+    """Continue :func:`drain` one state at a time; if many states wait to be closed, return them."""
     before, waiting = model.predecessors, deque(closed_states.tolist())
     is_open, counts = open_pairs.data, open_counts.data  # faster entry by entry
     home_of, offsets = model.pair_state.data, before.offsets.data
@@ -420,7 +425,7 @@ def _drain_one_by_one(
 def close_pairs(
     model: Graph, open_pairs: BoolArray, open_counts: IntArray, pairs: IntArray
 ) -> IntArray:
-    """Close open pairs in place; return the states whose last open pair was closed."""
+    """Close open pairs, in place; return the states that have no open pair left."""
     open_pairs[pairs] = False
     state = model.pair_state[pairs]
     np.subtract.at(open_counts, state, 1)
@@ -429,7 +434,7 @@ def close_pairs(
 
 
 def end_marks(model: SSP) -> IntArray:
-    """Return the number of the end of a run in each state; -1: the run continues, [states].
+    """Return numbers that say how a run ends in each state; -1: the run goes on, [states].
 
     With k state labels in the model: 0 is the goal; 1 .. k are dead-ends with a label, numbered by
     their first label; k + 1 is a dead-end without a label; k + 2 is having given up.
@@ -445,9 +450,10 @@ def end_marks(model: SSP) -> IntArray:
 
 
 def stop_marks(model: SSP) -> IntArray:
-    """Return the number of the end of a run that the policy stops in a state, [states].
+    """Return numbers that say how a run ends if the policy stops it in each state, [states].
 
-    The numbers are those of :func:`end_marks`; k + 2 is having given up.
+    The number is that of :func:`end_marks` for having given up. In the dead-ends of a product with
+    the failure label, it is the number of the dead-end instead.
     """
     if model.failure_label is not None:
         return model.failure_label.stop_marks

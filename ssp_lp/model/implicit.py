@@ -34,7 +34,7 @@ BEYOND, LOST = "(a goal beyond)", "(lost beyond)"
 """Added states of the explored part, in which the actions of its fringe end."""
 
 ARRIVE, FAIL = "(arrive)", "(fail)"
-"""Added actions: both in states of the fringe, the second where a dead-end is possible."""
+"""Added actions: both in fringe states, "fail" also in states that may be dead-ends."""
 
 
 _NO_BOUNDS: Mapping[str, float] = {}
@@ -125,7 +125,9 @@ class Exploration:
         self._look_at([0.0] * len(self.flat.states))
 
     def grow(self, wanted: Iterable[int], most: float) -> None:
-        """Expand the given states, then states in the order of A*: least cost so far plus bound.
+        """Expand the given states, then others in the order of A*.
+
+        The next state is that with the least sum of the cost of its path and its cost bound.
 
         Args:
             wanted: numbers of states.
@@ -163,7 +165,10 @@ class Exploration:
             self._look_at(paid)
 
     def _look_at(self, paid: list[float]) -> None:
-        """Evaluate goal, bounds and labels of the newest states; queue the states to expand."""
+        """Evaluate goal, bounds and labels of the newest states; queue the states to expand.
+
+        ``paid`` has the cost paid on the path by which each of the newest states was found.
+        """
         first, whole = len(self.is_goal), self.whole
         new = self.flat.states[first:]
         if not new:
@@ -237,9 +242,10 @@ class Exploration:
 
         Args:
             survival: discount factor; 1 without a discount.
-            may_end: whether an expanded state that reaches the goal only through the fringe may
-                turn out to be a dead-end; it then has a further action "fail".
-            charged: whether this action costs as much as the state's cheapest action; else 0.
+            may_end: whether expanded states that reach the goal only through the fringe get a
+                further action "fail", since they may turn out to be dead-ends.
+            charged: whether this action "fail" costs as much as the state's cheapest action; else
+                0.
         """
         is_goal = np.array(self.is_goal, dtype=np.bool_)
         fringe = np.flatnonzero(~np.array(self.is_expanded, dtype=np.bool_))
@@ -306,7 +312,8 @@ class Exploration:
 
         Args:
             own: actions of the expanded states, which are the first states.
-            numbers: numbers of all found states, in the order of the explored part.
+            numbers: for each found state, in the order of the explored part, its number in the
+                order of finding.
             n_live: number of states before the goals: the expanded ones and the fringe.
             charged: whether "fail" costs as much as the state's cheapest action; else 0.
         """

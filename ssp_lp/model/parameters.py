@@ -18,7 +18,6 @@ class Affine:
     def __init__(
         self, constant: float, slopes: Mapping[str, float], values: Mapping[str, float]
     ) -> None:
-        """Create the expression, with the values of its parameters."""
         self.constant, self.slopes, self.values = constant, dict(slopes), dict(values)
 
     def __float__(self) -> float:
@@ -45,7 +44,6 @@ class Affine:
         return Affine(self.constant + other.constant, slopes, {**self.values, **other.values})
 
     def __mul__(self, factor: float) -> Affine:
-        """Return the product with a number."""
         times = _factor(factor)
         slopes = {name: times * slope for name, slope in self.slopes.items()}
         return Affine(times * self.constant, slopes, self.values)
@@ -54,7 +52,6 @@ class Affine:
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: float) -> Affine:
-        """Return the quotient by a number."""
         return self * (1.0 / _factor(divisor))
 
     def _refuse(self, other: object) -> NoReturn:
@@ -70,15 +67,12 @@ class Affine:
     __rtruediv__ = __pow__ = __rpow__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse
 
     def __neg__(self) -> Affine:
-        """Return the negative."""
         return self * -1.0
 
     def __sub__(self, other: Affine | float) -> Affine:
-        """Return the difference."""
         return self + -other
 
     def __rsub__(self, other: float) -> Affine:
-        """Return the difference."""
         return -self + other
 
     def __repr__(self) -> str:
@@ -110,7 +104,6 @@ class Parameter(Affine):
     """
 
     def __init__(self, name: str, value: float) -> None:
-        """Create the parameter."""
         if not (isinstance(name, str) and name.isidentifier()):
             raise ModelError(f"a parameter's name must be a word such as 'p_crash', not {name!r}")
         if isinstance(value, bool) or not is_number(value):

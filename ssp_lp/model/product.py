@@ -27,10 +27,11 @@ from ssp_lp.arrays import (
     segment_ids,
     sorted_unique,
 )
+from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole, did_you_mean, wrong_argument
 from ssp_lp.model.arguments import check_fields, explained, explained_class
-from ssp_lp.model.graph import dead_ends, goal_approach
+from ssp_lp.model.graph import goal_approach
 from ssp_lp.model.ssp import SSP, check_hashable, check_model, no_lone_string
 
 MOST_PLACES: Final = 250_000_000  # states times steps or memories: four bytes each in numbering
@@ -49,12 +50,12 @@ Label = tuple[Hashable, Hashable]
 
 
 def _always_in_product(memory: Any) -> bool:
-    """Return True: by default reaching a goal is a success with every memory."""
+    """Return True: by default, reaching a goal is a success whatever the memory is."""
     return True
 
 
 def _never_in_product(memory: Any) -> bool:
-    """Return False: by default an episode fails with no memory."""
+    """Return False: by default, no value of the memory means that an episode has failed."""
     return False
 
 
@@ -86,7 +87,7 @@ class Memory:
     fails: Callable[[Any], bool] = _never_in_product
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` unless the attributes are functions of these arguments."""
+        """Raise :class:`ModelError` if a function of the memory does not accept its arguments."""
         check_fields(self)
 
 
@@ -116,9 +117,8 @@ class ProductStates(Sequence[Label]):
 class ProductSSP(SSP):
     """A model whose states are (state, memory); see :func:`product`.
 
-    A state has the actions of its original state, in their order, or no actions if the episode is
-    over: at a goal, at a goal of the original that the memory does not accept, or where the memory
-    fails.
+    A product state has the same actions as its original state, in their order. It has no actions if
+    the episode is over: at a goal (accepted by the memory or not), or where the memory fails.
     """
 
     original: SSP = field(kw_only=True)
@@ -179,17 +179,20 @@ class ProductSSP(SSP):
 
     @cached_property
     def original_outcome(self) -> IntArray:
-        """Original outcome of each of the product's outcomes, all of them possible, [outcomes]."""
+        """Original outcome of each outcome of the product, [outcomes].
+
+        The product has no outcomes of probability 0.
+        """
         possible = np.flatnonzero(self.original.probabilities > 0.0)
         offsets = np.searchsorted(possible, self.original.outcome_offsets)
         return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def placed(self, states: IntArray, pairs: IntArray) -> IntArray:
-        """Return the pairs of the product in given states for original pairs, [entries].
+        """Return the product's pair by which each given state takes an original pair, [entries].
 
         Args:
             states: states of the product, [entries].
-            pairs: original pairs, each belonging to the original of its state, [entries].
+            pairs: original pair to take in each of these states, [entries].
         """
         shift = self.pair_offsets[states] - self.original.pair_offsets[self.original_state[states]]
         return np.asarray(pairs + shift)
@@ -241,11 +244,11 @@ class ProductSSP(SSP):
         return self.at(successors, np.array(list(map(updated, *steps)), dtype=np.int64))
 
     def moved_by(self, pairs: IntArray, outcomes: IntArray) -> tuple[IntArray, IntArray]:
-        """Return the product's successor and outcome for each original outcome, [entries] each.
+        """Return the product's successor and the product's outcome of each step, [entries] each.
 
         Args:
-            pairs: pairs of the product, [entries].
-            outcomes: outcome of the original of each pair, [entries].
+            pairs: pair of the product that is taken, [entries].
+            outcomes: original outcome that occurs, [entries].
         """
         possible = np.cumsum(self.original.probabilities > 0.0)
         first = self.original.outcome_offsets[self.original_pair[pairs]]
@@ -254,7 +257,10 @@ class ProductSSP(SSP):
         return self.successors[place].astype(np.int64), place
 
     def places_of(self, state: Hashable) -> IntArray:
-        """Return the product's state with a label; for an original state, all its product states.
+        """Return the indices of the product's states with a label.
+
+        For a label (state, memory) this is one index; for a label of the original, all its product
+        states.
 
         Raises:
             ModelError: neither the product nor the original has a state with the label.
@@ -278,7 +284,7 @@ class ProductSSP(SSP):
 
     @cached_property
     def table(self) -> IntArray:
-        """State of the product for each state and memory, -1: none, [states, memories]."""
+        """Index of the product's state (state, memory); -1: none, [states, memories]."""
         table = np.full((self.original.n_states, len(self.memories)), -1, dtype=np.int64)
         table[self.original_state, self.labels.number] = np.arange(self.n_states)
         return read_only(table)
@@ -298,15 +304,28 @@ class ProductSSP(SSP):
         return place if place >= 0 else None
 
 
-def copied_parts(model: SSP, pairs: IntArray, outcomes: IntArray) -> dict[str, Any]:
-    """Return the fields of a product that are copies of the model's.
+def copied_parts(
+    model: SSP,
+    pair_offsets: IntArray,
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    pairs: IntArray,
+    outcomes: IntArray,
+) -> dict[str, Any]:
+    """Return the graph of a product, with the fields that are copies of the model's.
 
     Args:
         model: the model.
+        pair_offsets: of the product, like the next two.
+        outcome_offsets: of the product.
+        successors: of the product.
         pairs: the model's pair of each pair of the product, [product pairs].
         outcomes: the model's outcome of each outcome of the product, [product outcomes].
     """
     return {
+        "pair_offsets": read_only(pair_offsets),
+        "outcome_offsets": read_only(outcome_offsets),
+        "successors": read_only(successors, np.int32),
         "action_names": model.action_names,
         "pair_action": read_only(model.pair_action[pairs]),
         "probabilities": read_only(model.probabilities[outcomes]),
@@ -358,7 +377,7 @@ def product(
         return numbers[kept]
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the numbers of the memories after outcomes, [entries]."""
+        """Return the number of the memory after each outcome, given the one before, [entries]."""
         memories, moved = [*numbers], list[int]()
         for number, k in zip(before.tolist(), outcomes.tolist(), strict=True):
             state, action = names[int(model.pair_state[pair_of[k]])], model.action_of(pair_of[k])
@@ -367,7 +386,7 @@ def product(
         return np.array(moved, dtype=np.int64)
 
     def fails(states: IntArray, numbers: IntArray) -> BoolArray:
-        """Return whether an episode with a memory has failed, [entries]."""
+        """Return a mask of the memories with which an episode has failed, [entries]."""
         return np.array(failing, dtype=np.bool_)[numbers]
 
     begin = model.states if start is None else no_lone_string(start, "start")
@@ -405,10 +424,10 @@ def unfold(
     Args:
         model: the model.
         begin: states in which episodes may begin, and the numbers of their memories.
-        after: function of the numbers of memories and of outcomes that returns the numbers of the
-            memories after these outcomes, [entries] each.
-        is_over: function of states and numbers of memories that says where an episode ends, even
-            though the model has actions there, [entries] each.
+        after: function (numbers of memories, outcomes) -> numbers of the memories after the
+            outcomes, [entries] each.
+        is_over: function (states, numbers of memories) -> mask of the entries at which an episode
+            ends even if the model has actions there, [entries] each.
         state_limit: greatest number of states of the product.
 
     Returns:
@@ -451,11 +470,8 @@ def unfold(
     state, number, goes_on, outcomes, target = map(np.concatenate, zip(*rounds, strict=True))
     actions = np.diff(model.pair_offsets)[state] * goes_on
     pairs = concatenated_ranges(model.pair_offsets[state], actions)
-    fields = copied_parts(model, pairs, outcomes) | {
-        "pair_offsets": read_only(offsets_of(actions)),
-        "outcome_offsets": read_only(offsets_of(np.diff(offsets)[pairs])),
-        "successors": read_only(places[target]),
-    }
+    bounds = offsets_of(actions), offsets_of(np.diff(offsets)[pairs])
+    fields = copied_parts(model, *bounds, places[target], pairs, outcomes)
     return state.astype(np.int64), number, fields
 
 
@@ -499,7 +515,9 @@ class HorizonSSP(ProductSSP):
     survive: tuple[str, ...] | None = field(kw_only=True, default=None)  # :func:`within_steps`
 
     def moved(self, pairs: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """Return the states after one more step, "out of time" after the last one, [episodes].
+        """Return the states of the product after steps, [episodes].
+
+        After the last step the memory is "out of time", unless the reached state has no actions.
 
         Raises:
             ModelError: a step leads to a state that does not occur after so many steps.
@@ -517,19 +535,20 @@ def within_steps(
     start: Iterable[Hashable] | None = None,
     survive: bool | Iterable[str] = False,
 ) -> HorizonSSP:
-    """Return the model in which an episode fails unless it reaches the goal within some steps.
+    """Return the product in which an episode fails unless it reaches the goal within some steps.
 
-    It is the product with a memory that counts steps, built from arrays. A policy on it knows the
-    number of steps left; ``on_original`` lets it act on the model's states. With ``survive``, an
-    episode that takes all steps succeeds ("do not fall within 500 steps"). It fails if it reaches a
-    state without actions earlier, or a state with a label in ``survive``.
+    Its memory counts steps. A policy on the product knows the number of steps left; ``on_original``
+    lets it act on the model's states. With ``survive``, an episode that takes all steps succeeds
+    ("do not fall within 500 steps"). It fails if it reaches a state without actions earlier, or a
+    state with a label in ``survive``.
 
     Args:
         model: the model. If only surviving counts, its goal is a state that no action leads to.
         steps: number of steps; a goal reached with the last one counts.
         start: states in which episodes may begin; None: every state of the model.
-        survive: True: an episode that takes all steps has reached the goal. Or labels of states
-            that end an episode as a failure although they have actions.
+        survive: True: an episode that takes all steps succeeds. Labels of states: the same, and an
+            episode fails in a state with one of these labels although it has actions. False: only
+            reaching the goal is success.
 
     Returns:
         The product, with states (state, steps taken), and (state, "out of time") after the last
@@ -572,8 +591,36 @@ def within_steps(
     return horizon
 
 
+@with_twin
+def _unrolled(model: SSP, steps: int, begin: IntArray) -> tuple[IntArray, IntArray, dict[str, Any]]:
+    """Return what :func:`unfold` does for a memory that counts steps; steps + 1: out of time."""
+    acting = np.diff(model.pair_offsets) > 0
+    if accelerated(steps * model.n_outcomes, "graphs.find_layers", "graphs.fill_layers"):
+        from ssp_lp.compiled.graphs import unroll
+
+        graph = model.pair_offsets, model.outcome_offsets, model.successors, model.probabilities
+        state, layers, parts = unroll(graph, sorted_unique(begin), steps)
+        count, last = np.arange(steps + 1).repeat(np.diff(layers)), layers[-2]
+        count[last:] += acting[state[last:]]
+        return state, count, copied_parts(model, *parts)
+
+    def after(before: IntArray, outcomes: IntArray) -> IntArray:
+        """Return the numbers of steps after outcomes, [entries]."""
+        if not (before == steps - 1).any():
+            return before + 1
+        return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round
+
+    first = begin, np.zeros_like(begin)
+    return unfold(model, first, after, lambda states, counts: counts >= steps)
+
+
 def unroll_steps(
-    model: SSP, steps: int, begin: Sequence[int] | None, survive: tuple[str, ...] | None = None
+    model: SSP,
+    steps: int,
+    begin: Sequence[int] | None,
+    survive: tuple[str, ...] | None = None,
+    *,
+    is_hidden: bool = False,
 ) -> HorizonSSP:
     """Return the model of :func:`within_steps`, without checking that a goal can be reached.
 
@@ -583,44 +630,37 @@ def unroll_steps(
         begin: states in which episodes may begin; None: all.
         survive: labels of states in which an episode fails, if taking all steps is success; None:
             taking all steps is failure.
+        is_hidden: whether the user's problem has another model.
 
     Raises:
         ModelError: states times steps are too many.
     """
-    steps, acting = int(steps), np.diff(model.pair_offsets) > 0
+    steps = int(steps)
     if (steps + 2) * model.n_states > MOST_PLACES:
         raise ModelError(
             f"{steps:,} steps on {model.n_states:,} states are too many: take ",
             Argument("horizon", None),
             ", or make the model smaller",
         )
-
-    def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the numbers of steps after outcomes, [entries]; steps + 1: late, out of time."""
-        if not (before == steps - 1).any():
-            return before + 1
-        return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round
-
     first = np.array(range(model.n_states) if begin is None else begin, dtype=np.int64)
-    state, count, fields = unfold(
-        model, (first, np.zeros_like(first)), after, lambda states, counts: counts >= steps
-    )
-    over, late = count > steps, dict[str, BoolArray]()
+    state, count, fields = _unrolled(model, steps, first)
+    goal, late = model.goal_mask[state], dict[str, BoolArray]()
     if survive is None:  # label states from which the goal is too many steps away
         nearer, needed = goal_approach(model)
-        needed = np.where((nearer >= 0) | model.goal_mask, needed, steps + 1)
-        late[LATE] = np.where(dead_ends(model), -1, needed)[state] > steps - count
-    lost = np.concatenate([[], *(model.state_labels[name] for name in survive or ())])
-    survived = over & ~np.isin(state, lost) & (survive is not None)
+        late[LATE] = np.where(nearer >= 0, needed, -1)[state] > steps - count
+    else:
+        lost = np.concatenate([[], *(model.state_labels[name] for name in survive)])
+        goal |= (count > steps) & ~np.isin(state, lost)
     number = read_only(count, least_integer_type(steps + 1))
     check_time()
     horizon = HorizonSSP(
         **fields,
         states=ProductStates(model.states, (*range(steps + 1), LATE), read_only(state), number),
-        goal_mask=read_only(model.goal_mask[state] | survived),
+        goal_mask=read_only(goal),
         state_labels=labels_in_product(model, state, late),
         steps=steps,
         survive=survive,
+        is_hidden=is_hidden,
     )
     _BUILDING.info("%r", horizon)
     return horizon

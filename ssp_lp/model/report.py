@@ -142,7 +142,6 @@ class Report:
         return "\n".join(line for table in self.tables() for line in table.lines())
 
     def __str__(self) -> str:
-        """Return the text of all tables."""
         return self.summary()
 
     def _repr_html_(self) -> str:
@@ -167,5 +166,4 @@ class Facts(Report):
         return f"{type(self).__name__}({told})"
 
     def __str__(self) -> str:
-        """Return the facts in a line."""
         return repr(self)

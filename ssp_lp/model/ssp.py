@@ -94,8 +94,10 @@ class SSP(Graph, ReadOnlyCopies):
     state_labels: Mapping[str, IntArray]  # label -> state indices; for reports only
     exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
     named_costs: Mapping[str, FloatArray] = field(kw_only=True, default_factory=dict)
-    """Costs by name, [outcomes] each, for ``secondary_cost("fuel")``; with ``costs``, if that has a
-    name."""
+    """Costs by name, [outcomes] each, for ``secondary_cost("fuel")``.
+
+    If ``costs`` has a name, it is one of them.
+    """
     counts: FloatArray | None = field(kw_only=True, default=None)
     """Count of each outcome, [outcomes]; None: the model was not made of counts."""
     parameters: Mapping[str, PlacedParameter] = field(kw_only=True, default_factory=dict)
@@ -117,14 +119,14 @@ class SSP(Graph, ReadOnlyCopies):
         """Build a model from nested dicts ``{state: {action: [(probability, successor, cost)]}}``.
 
         Args:
-            transitions: every state that is not a goal must be a key, unless states without
-                actions are accepted. Actions of a goal state are ignored: the episode ends there. A
-                cost may be a dict of named costs, ``{"time": 4.0, "fuel": 1.5}``, with the same
-                names everywhere. Probabilities and costs may be expressions of a
+            transitions: every state that is not a goal must be a key, unless states without actions
+                are accepted. Actions of a goal state are ignored: the episode ends there. A cost
+                may be a dict of named costs, ``{"time": 4.0, "fuel": 1.5}``, with the same names
+                everywhere. Probabilities and costs may be expressions of a
                 :class:`ssp_lp.Parameter`.
             goal: the labels of the goal states.
             cost: if costs have names, the name of the model's own cost, which problems minimise;
-                ``secondary_cost("fuel")`` limits another one.
+                other costs can be limited, ``secondary_cost("fuel") <= 3``.
             state_labels: names for sets of states ("wall"), used in reports and limits; each with
                 its states, or a predicate on states.
             dead_ends: states from which no action reaches the goal, given by their labels or by a
@@ -255,10 +257,10 @@ class SSP(Graph, ReadOnlyCopies):
         """Create a model from its successor function, explored only as far as a problem needs it.
 
         ``solve`` explores from the start and repeats two steps. It solves the explored part, in
-        which states that were found but not expanded (the fringe) reach the goal at the bounds
-        below or fail at no cost. Then it expands the states of the fringe on which the solution
-        depends. If there are none, the solution is optimal for the whole model. States without
-        actions that are not goals are dead-ends.
+        which states that were found but not expanded (the fringe) either reach the goal at their
+        cost bound and failure bound, or fail at no cost. Then it expands the states of the fringe
+        on which the solution depends. If there are none, the solution is optimal for the whole
+        model. States without actions that are not goals are dead-ends.
 
         Args:
             start: a state, or a list or set of states, in which episodes may begin.
@@ -273,15 +275,15 @@ class SSP(Graph, ReadOnlyCopies):
                 is infinite where no policy reaches the goal. If costs have names, it may be
                 ``{name: bound}``. None: 0.
             failure_bound: maps a state to a lower bound of the failure probability of every policy
-                from there, never discounted. None: 0.
+                from there, undiscounted even if the problem has a discount. None: 0.
             growth: factor by which the explored part grows from round to round, above 1; if
                 ``successors`` takes a millisecond or more, 1.25 to 1.5 is faster.
             vectorised: states are whole numbers >= 0, and all functions take an array of them.
-                ``successors`` returns ``{"actions": [states] number of actions of each,
-                "outcomes": [pairs] number of outcomes of each, "successors", "probabilities",
-                "costs": [outcomes]}``; actions are named 0, 1, ... within each state.
+                ``successors`` returns ``{"actions": [states] number of actions of each, "outcomes":
+                [pairs] number of outcomes of each, "successors", "probabilities", "costs":
+                [outcomes]}``; actions are named 0, 1, ... within each state.
             state_labels: names for sets of states, as in ``from_transitions``; with ``vectorised``
-                by predicates on one state.
+                each set is a predicate on one state.
 
         Returns:
             The model, for ``MCMP(model, start, ...)`` and other criteria of costs and probabilities
@@ -793,7 +795,7 @@ class SSP(Graph, ReadOnlyCopies):
         raise ModelError(self.no_such_action(state, action))
 
     def no_such_action(self, state: int, action: Hashable) -> str:
-        """Return an error text for an action that a state lacks, with the nearest ones."""
+        """Return an error text for an action that a state lacks; it suggests similar actions."""
         nearest = did_you_mean(action, map(self.action_of, self.pairs_of(state)), "it has")
         return f"state {self.states[state]!r} has no action {action!r}{nearest}"
 
@@ -808,15 +810,15 @@ class SSP(Graph, ReadOnlyCopies):
         return self.describe_pair(pair)
 
     def of_all_states(self, made: FloatArray) -> FloatArray:
-        """Return the values of all states, [states], given those of the states held here.
+        """Return values of all states, [states], from those of the states that this object holds.
 
-        An ordinary model holds all pairs, so the values are returned unchanged. A model that is
+        An ordinary model holds all states, so the values are returned unchanged. A model that is
         divided among processes overrides this to join the values of its parts.
         """
         return made
 
     def staying_free(self, free: BoolArray) -> BoolArray:
-        """Return a mask of the states of end components that consist of free pairs, [states].
+        """Return a mask of the states that lie in an end component of free pairs, [states].
 
         Args:
             free: mask of the free pairs, [pairs].
@@ -854,7 +856,7 @@ class SSP(Graph, ReadOnlyCopies):
 
 
 UNEXPLORED = "unexplored"
-"""Label of an implicit model's states that were found, but not expanded, and of their ends."""
+"""Label of an implicit model's fringe (found, not expanded), and of the state where it fails."""
 
 
 class _NotExploredError(ModelError, AttributeError):
@@ -908,7 +910,7 @@ class ImplicitSSP(SSP):
 
     @property
     def assumption(self) -> str:
-        """Assumption behind every solution, that the given bounds hold, in words; "": no bounds."""
+        """Assumption of every solution in words: the given bounds hold; "" if none is given."""
         words = ("no policy reaches the goal for less than cost_bound, given that it does",
                  "no policy fails less than failure_bound")  # fmt: skip
         given = zip(words, self.bounds, strict=True)
@@ -930,10 +932,10 @@ def check_model(model: object, verb: str) -> None:
 
 
 class FlatModel:
-    """A model under construction: states found so far, flat lists of expanded ones. Mutable."""
+    """A model under construction: the states found so far, and flat lists of the pairs. Mutable."""
 
     def __init__(self, states: list[Any], cost: str | None, *, closed: bool = False) -> None:
-        """Begin with distinct states; if ``closed``, any other state is an error.
+        """Begin with given states, all different; if ``closed``, every further state is an error.
 
         Args:
             states: states that are known from the beginning.
@@ -1191,7 +1193,7 @@ def check_offsets(name: str, offsets: IntArray, end: int) -> None:
 
 
 def _check_numbers(model: SSP, numbers: FloatArray, what: str, remedy: str = "") -> None:
-    """Raise :class:`ModelError` for a number of a model's outcome that is not finite and >= 0."""
+    """Raise :class:`ModelError` unless the numbers of a model's outcomes are finite and >= 0."""
     _refuse_outcomes(model, np.isnan(numbers), f"has a {what} that is NaN")
     _refuse_outcomes(model, numbers < 0, f"has a negative {what}{remedy}")
     _refuse_outcomes(model, np.isinf(numbers), f"has an infinite {what}")
@@ -1305,7 +1307,7 @@ def _check_idle_states(model: SSP, dead_ends: DeadEnds | None, *, accept: bool) 
 
 
 def _dead_end_members(model: SSP, dead_ends: DeadEnds) -> IntArray:
-    """Return the indices of the states that ``dead_ends`` lists, by themselves or by labels.
+    """Return the indices of the states that ``dead_ends`` gives, as states or as labels of sets.
 
     Raises:
         ModelError: an entry is neither a state nor a label.

@@ -129,7 +129,7 @@ def _negated_at_names(formula: Formula, *, negated: bool = False) -> Formula:
 
 
 def _simplest(alternatives: Iterable[frozenset[Formula]]) -> Obligation:
-    """Remove alternatives that contain another one, so that equivalent obligations are equal."""
+    """Remove alternatives that contain another alternative; equivalent obligations become equal."""
     every = frozenset(alternatives)
     return frozenset(a for a in every if not any(b < a for b in every))
 
@@ -140,7 +140,7 @@ def _both(a: Obligation, b: Obligation) -> Obligation:
 
 
 def _alternatives(formula: Formula) -> Obligation:
-    """Return a formula as an obligation, with conjunctions and disjunctions split."""
+    """Return the obligation to satisfy a formula, with conjunctions and disjunctions split."""
     if formula[0] in ("and", "or"):
         first, second = map(_alternatives, formula[1:])
         return _both(first, second) if formula[0] == "and" else _simplest(first | second)
@@ -150,12 +150,13 @@ def _alternatives(formula: Formula) -> Obligation:
 
 
 def _here(formula: Formula, seen: frozenset[str], go_on: bool) -> Obligation:
-    """Return what a formula requires from the next position on, given the names that hold now.
+    """Return the obligation that remains of a formula after the present position.
 
     Args:
         formula: formula that must hold from the present position on.
         seen: labels and actions that hold at the present position.
-        go_on: whether there is a next position; if not, the result is "met" or "broken".
+        go_on: whether there is a next position. If not, the formula either holds or not: the result
+            is ``_MET`` or ``_BROKEN``.
     """
     kind, *parts = formula
     if kind in ("true", "false"):
@@ -176,7 +177,7 @@ def _here(formula: Formula, seen: frozenset[str], go_on: bool) -> Obligation:
 
 
 def _left(obligation: Obligation, seen: frozenset[str], go_on: bool = True) -> Obligation:
-    """Return what an obligation requires from the next position on; see :func:`_here`."""
+    """Return what remains of an obligation after the present position; see :func:`_here`."""
     left = _BROKEN
     for alternative in obligation:
         every = _MET
@@ -308,12 +309,12 @@ class Task:
         return self.followed(model)[0]
 
     def followed(self, model: SSP) -> tuple[Automaton, BoolArray]:
-        """Return the automaton of the task on a model, and at which ends the task is satisfied.
+        """Return the automaton of the task on a model, and where the task is satisfied.
 
         Returns:
-            The automaton; and a mask of the pairs of a value and a state such that a trace that
-            ends in the state, while the automaton has the value, satisfies the task,
-            [values, states].
+            The automaton, whose values are obligations; and a mask [values, states]. An entry says
+            whether the task is satisfied if the trace ends in the state while the automaton has the
+            value.
         """
         of_states, of_pairs = self.seen(model)
         distinct, by_pair = np.unique(of_pairs, return_inverse=True)
@@ -341,7 +342,7 @@ class Task:
         return automaton, read_only(np.array(ends, dtype=np.bool_)[:, by_state])
 
     def satisfied(self, product: TrackedSSP) -> BoolArray:
-        """Return a mask of the product's states: traces that end there satisfy the task."""
+        """Return a mask of the product's states: a trace that ends there satisfies the task."""
         ends = self.followed(product.original)[1]
         return np.asarray(ends[product.labels.number, product.original_state])
 

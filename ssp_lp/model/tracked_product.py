@@ -55,7 +55,7 @@ class Automaton(Report, ReadOnlyCopies):
         self.keep_read_only("moves", "letter", "begin")
 
     def edges(self) -> list[tuple[int, int, str]]:
-        """Return the moves: a value, the next value, and the letters that lead there."""
+        """Return the moves as (value, next value, the letters that lead from one to the other)."""
         return [
             (value, after, " or ".join(compress(self.letters, self.moves[value] == after)))
             for value in range(len(self.words))
@@ -90,8 +90,8 @@ class TrackedSSP(ProductSSP):
         """Return the states after steps; the automaton reads the outcome of each step, [episodes].
 
         Raises:
-            ModelError: the model has no such step, or several outcomes have its successor and cost
-                but lead to different values.
+            ModelError: the model has no such step, or several outcomes have the step's successor
+                and cost but lead to different values.
         """
         model, automaton = self.original, self.automaton
         value, taken = self.labels.number[self.pair_state[pairs]], self.original_pair[pairs]
@@ -117,14 +117,15 @@ class TrackedSSP(ProductSSP):
 
 
 def followed_in(model: SSP, follows: object) -> tuple[TrackedSSP, IntArray] | None:
-    """Return the product that follows a given limit or task, among nested products; None: none.
+    """Return the product, among nested products, that was built for a given limit or task.
 
     Args:
         model: a model that may be a product of a product, and so on.
-        follows: the limit or task that the product's automaton reads.
+        follows: the limit or task.
 
     Returns:
-        The product, and the product's state for each state of the model, [states].
+        The product and, for each state of the model, the product's state, [states]; None if there
+        is no such product.
     """
     place: IntArray = np.arange(model.n_states)
     while isinstance(model, ProductSSP):
@@ -135,7 +136,7 @@ def followed_in(model: SSP, follows: object) -> tuple[TrackedSSP, IntArray] | No
 
 
 def rounded_in(model: SSP) -> dict[object, float]:
-    """Return the limits whose amounts are rounded up in a model's products -> unit of rounding."""
+    """Return the unit of rounding of each limit whose amounts a model's products round up."""
     found = dict[object, float]()
     while isinstance(model, ProductSSP):
         if isinstance(model, TrackedSSP) and model.automaton.unit > 0.0:
@@ -168,15 +169,15 @@ def track(
     begin: IntArray,
     succeeds: Callable[[IntArray, IntArray], BoolArray] | None = None,
 ) -> TrackedSSP:
-    """Return the product of a model with an automaton: what can be reached from the start.
+    """Return the product of a model with an automaton, explored from the start.
 
     Args:
         model: the model.
         automaton: automaton that reads the model's outcomes.
         follows: the limit or task that the automaton stands for.
         begin: indices of the states in which episodes may begin.
-        succeeds: function of states and automaton values, [entries] each, that returns whether a
-            run ends there with success, [entries]; None: runs end at the model's goals.
+        succeeds: function (states, automaton values) -> mask of the entries at which a run ends
+            with success, [entries] each; None: runs end at the model's goals.
 
     Raises:
         ModelError: states times values are too many.
@@ -189,11 +190,11 @@ def track(
         )
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the values after outcomes, [entries]."""
+        """Return the automaton's value after each outcome, given the value before it, [entries]."""
         return automaton.moves[before, automaton.letter[outcomes]]
 
     def ends(state: IntArray, value: IntArray) -> BoolArray:
-        """Return whether a run ends with success, [entries]."""
+        """Return a mask of the entries at which a run ends with success, [entries]."""
         return model.goal_mask[state] if succeeds is None else succeeds(state, value)
 
     first = automaton.begin[begin].astype(np.int64)

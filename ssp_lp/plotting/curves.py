@@ -100,11 +100,12 @@ def plot_frontier(
 
     Args:
         frontier: result of ``trace_frontier``.
-        budget: budget to mark with its value and the tangent. The slope of the tangent is the
+        budget: a budget to mark, with the optimum and its tangent. The slope of the tangent is the
             derivative of the optimum by the budget (minus the failure price in case M). A turning
-            point has two tangents. Where the frontier is not settled, bounds replace the tangent.
+            point has two tangents. Where the optimum is known only up to bounds, the bounds are
+            drawn instead.
         ax: where to draw; None: a new figure.
-        label: label of the line; None: a label that states its gap.
+        label: label of the line; None: a label with the frontier's gap.
         look: style of the line, 0 .. 4, to distinguish several lines.
         whole: show the whole frontier; otherwise a new figure shows its bend and the budget.
 
@@ -134,7 +135,7 @@ def plot_frontier(
 
 
 def _show_region(ax: Axes, frontier: Frontier, budget: float | None) -> None:
-    """Set the axes' limits so that they show the frontier's bend and the budget."""
+    """Set the limits of the axes so that they show the frontier's bend and the budget."""
     first, last = frontier.region
     if budget is not None:
         beyond = first + 1.5 * (budget - first)
@@ -160,9 +161,9 @@ def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> Non
 
 
 def bounds_along(frontier: Frontier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return budgets along a frontier and the lower and upper bounds there, [budgets] each.
+    """Return budgets along a frontier, and the optimum's lower and upper bounds at each.
 
-    All turning points are among the budgets.
+    The three arrays are [budgets]. All turning points are among the budgets.
     """
     spent = frontier.spent
     each = max(_SAMPLES // len(spent), 4)
@@ -174,7 +175,7 @@ def bounds_along(frontier: Frontier) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
-    """Return budgets between two given ones, close together on linear and logarithmic axes."""
+    """Return budgets between two given ones, dense enough for linear and logarithmic axes."""
     even = np.linspace(begin, end, count)
     if begin == 0.0:
         return even
@@ -182,7 +183,7 @@ def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
 
 
 def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) -> None:
-    """Mark a budget with the optimum and its tangents or, if not settled, with its bounds."""
+    """Mark a budget with the optimum and its tangents, or with bounds if the optimum is unknown."""
     ax.axvline(budget, color=PALE, linewidth=0.8, linestyle=":", zorder=1)
     try:
         value = frontier.objective_at(budget)
@@ -215,7 +216,7 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) 
 
 @dataclass
 class BoundsRecord:
-    """Record of the progress of ``solve``, to which it is passed as ``progress``. Mutable."""
+    """Record of the progress reports of ``solve(..., progress=record)``. Mutable."""
 
     began: float = field(default_factory=time.perf_counter)
     seconds: list[float] = field(default_factory=list)  # [reports] since then
@@ -233,11 +234,11 @@ class BoundsRecord:
 def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = None) -> Axes:
     """Plot the upper and lower bound of the optimum against seconds.
 
-    The upper bound is the objective of the best policy so far. The lower bound is the greatest one
-    that the prices so far prove: for each price, one pricing problem is solved for the plot, on the
-    process that the linear program would have, with its cap on the accumulated cost. The last point
-    shows the bounds of the solution. Lower bounds before the last one are drawn only for a cost
-    that is minimised within a failure budget, without other limits.
+    The upper bound is the objective of the best policy so far. The lower bound is the greatest that
+    the failure prices so far prove: for each price, one pricing problem is solved for the plot, on
+    the process that the linear program would have, with its cap on the accumulated cost. The last
+    point shows the bounds of the solution. Before that point a lower bound is drawn only if a cost
+    is minimised within a failure budget, without other limits.
 
     Args:
         record: record of the reports of ``solve``.
@@ -246,9 +247,9 @@ def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = N
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
-        ModelError: the argument is no solution, or its criterion measures the distribution of
-            costs, as a quantile does: such a problem is solved by a search over other problems,
-            whose reports do not bound the optimum.
+        ModelError: the argument is no solution, or its criterion is a quantile or another function
+            of the distribution of costs. ``solve`` searches for such an optimum by solving other
+            problems, whose reports do not bound it.
 
     Example:
         >>> from ssp_lp import MCMP, SSP, solve
@@ -280,7 +281,7 @@ def plot_bounds(record: BoundsRecord, solution: Solution, *, ax: Axes | None = N
 
 
 def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
-    """Return the lower bound proved at the price of each report, [reports]; -inf: unknown."""
+    """Return the lower bound that the price in each report proves; -inf: unknown, [reports]."""
     budget, semantics = problem.failure_budget, problem.semantics
     if budget is None or problem.several_rows or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)
@@ -302,9 +303,9 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
     """Plot the distribution of the total cost given success, its quantile and tail mean.
 
     A bar is the probability of one cost or, if there are too many costs, of an interval of costs.
-    The costliest share ``1 - level`` of the successes is hatched, which may split the bar at the
-    quantile; its mean is the conditional value at risk. At most a thousandth of the successes costs
-    more than the last bar.
+    The costliest share ``1 - level`` of the successes is hatched, so the bar at the quantile may be
+    split. The mean of the hatched part is the conditional value at risk. At most a thousandth of
+    the successes costs more than the last bar.
 
     Args:
         law: result of ``success_costs``.
@@ -341,7 +342,10 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
 
 
 def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
-    """Return the bars of a cost distribution: middles, probabilities given success, width."""
+    """Return the bars of a cost distribution: their middles, their heights, and their width.
+
+    A height is the probability of the bar's costs given success.
+    """
     costs, masses = law.all_but(_UNSEEN * law.goal)
     shares = masses / law.goal
     if len(costs) <= 1:
@@ -399,18 +403,17 @@ def plot_parameter(solutions: Iterable[object], name: str, *, ax: Axes | None = 
     """Draw the optimum as a function of a parameter of the model, with its slope at each point.
 
     The slopes are the derivatives of ``solution.what_if()``. If the left and the right slope
-    differ, there is a kink. Errors among the answers, such as infeasible problems, are left
-    out.
+    differ, there is a kink. Errors among the answers, such as infeasible problems, are left out.
 
     Args:
-        solutions: answers to the same question at several values of the parameter, such as
+        solutions: answers to one problem at several values of the parameter, such as
             ``solve_many(sweep(...))``.
         name: name of the parameter.
         ax: where to draw; None: a new figure.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
-        ModelError: fewer than two of the problems have an optimum and the parameter.
+        ModelError: fewer than two of the problems were solved and have the parameter.
     """
     solved = [one for one in solutions if isinstance(one, Solution)]
     solved = [one for one in solved if name in one.problem.model.parameters]

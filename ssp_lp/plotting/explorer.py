@@ -1,9 +1,9 @@
 """The explorer: a frontier as an interactive page, without a server or a network.
 
 A slider moves along the values of the bound, such as the failure budget. Between two turning points
-the optimum is a lottery over their policies, which is drawn once at the start. So every probability
-and expectation on the page is linear in its weight: numbers are computed here, at the turning
-points, and the page interpolates between two of them.
+of the frontier the optimum is a lottery over the policies of both, of which one is drawn at the
+start of an episode. So every probability and expectation on the page is linear in the weight of a
+policy: numbers are computed here at the turning points, and the page interpolates between them.
 """
 
 from __future__ import annotations
@@ -90,9 +90,9 @@ def explore(
     Args:
         frontier: result of ``trace_frontier``.
         path: file of the page; None: no file.
-        cells: the (x, y) of a state, the middle of a unit square; None: the state itself, if it is
-            a pair of numbers.
-        moves: the (dx, dy) of an action; None: its mean displacement.
+        cells: the point (x, y) of each state, the middle of a unit square; None: a state that is a
+            pair of numbers is its own point.
+        moves: the direction (dx, dy) of each action; None: the mean displacement by the action.
         walls: middles of unit squares that are walls, not states.
         episodes: number of sample runs at each turning point.
         seed: seed of the runs.
@@ -146,7 +146,7 @@ def explore(
 
 
 def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]) -> dict[str, Any]:
-    """Return the numbers of all turning points, as lists by name."""
+    """Return the numbers that the page shows at turning points, as a list for each name."""
     listed = (entry for each in evaluations for entry in each.ends.items())
     names = list(dict.fromkeys(name for name, share in listed if share > 1e-12))  # else rounding
     reached = np.array([each.goal_probability for each in evaluations])
@@ -180,9 +180,9 @@ def _numbers(frontier: Frontier, problem: Problem, evaluations: list[Evaluation]
 def _laws(
     policies: list[MixedPolicy], problem: Problem, in_region: BoolArray
 ) -> dict[str, Any] | None:
-    """Return the bars of the cost distribution at each turning point, with common edges.
+    """Return the bars of the cost distribution at each turning point, all with the same edges.
 
-    None if the goal is never reached, or there are too many distinct costs.
+    None if the goal is never reached, or if there are too many distinct costs.
     """
     try:
         laws = [success_costs(policy, problem) for policy in policies]
@@ -206,7 +206,7 @@ def _laws(
 
 
 def _short(numbers: FloatArray) -> list[float]:
-    """Return numbers rounded to six significant digits, as the page shows them."""
+    """Return numbers rounded to six significant digits."""
     return [float(f"{x:.6g}") for x in numbers.tolist()]
 
 
@@ -225,7 +225,10 @@ def _is_point(state: object) -> bool:
 
 
 def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
-    """Return the point of each state, nan without one, [states, 2]; None: states have no places."""
+    """Return the point of each state, nan for a state without one, [states, 2].
+
+    The result is None if no state has a point, and the model is too large to be drawn as a graph.
+    """
     model = problem.model
     if cells is not None:
         return plane.cells_of(model, cells)
@@ -235,7 +238,10 @@ def _places(problem: Problem, cells: Places | None) -> FloatArray | None:
 
 
 def _layout(problem: Problem) -> FloatArray:
-    """Return points for drawing the graph, in columns by distance from the start, [states, 2]."""
+    """Return a point for each state of a graph, [states, 2].
+
+    States stand in columns by their distance from the start, in steps; nan if it is infinite.
+    """
     model = problem.model
     begun = np.flatnonzero(problem.start_mass > 0.0)
     rows = segment_ids(model.pair_offsets)[segment_ids(model.outcome_offsets)]
@@ -258,7 +264,10 @@ def _plane(
     *,
     is_graph: bool,
 ) -> dict[str, Any]:
-    """Return the visits of each cell, and the flow along each arrow, at each turning point."""
+    """Return the visits of each cell and the flow along each arrow, at each turning point.
+
+    The flow along an arrow is the expected number of times that its action is taken.
+    """
     model, (middles, place) = problem.model, plane.distinct_points(points)
     known = place >= 0
     owner, outcome_pair = segment_ids(model.pair_offsets), segment_ids(model.outcome_offsets)
@@ -311,13 +320,13 @@ def _plane(
 def _runs(
     policies: list[MixedPolicy], problem: Problem, points: FloatArray, episodes: int, seed: int
 ) -> dict[str, Any]:
-    """Return sample runs at each turning point: the states on the path, and how it ends."""
+    """Return sample runs at each turning point, each with its path and its end."""
     model, marks = problem.model, end_marks(problem.model)
     words = ["goal", *model.state_labels, "dead-end", "gave up, or goes on"]
     placed = plane.with_point(points)
 
     def run_of(path: IntArray) -> dict[str, Any]:
-        """Return the states with a place on a path, and the end of the run."""
+        """Return the states of a path that have a point, and the end of the run."""
         mark = int(marks[int(path[-1])])
         steps = path[placed[path]][:300]  # longer lines hide the plane
         return {"path": steps.tolist(), "goal": mark == 0, "end": words[mark]}
@@ -334,7 +343,7 @@ def _runs(
 def _ground(
     problem: Problem, points: FloatArray, walls: list[Point], *, is_graph: bool
 ) -> dict[str, Any]:
-    """Return the squares of goals, dead-ends, walls and start; in a graph also state names."""
+    """Return the squares of goals, dead-ends, walls and start, and in a graph the states' names."""
     known = plane.with_point(points)
     everything = np.vstack([points[known], *np.array(walls, dtype=float).reshape(-1, 2)])
     limits = [everything.min(axis=0) - _AROUND, everything.max(axis=0) + _AROUND]
@@ -350,7 +359,6 @@ def _ground(
 
 
 def _page(frontier: Frontier, data: dict[str, Any]) -> str:
-    """Return the page as HTML."""
     problem = frontier.problem
     title = f"{type(problem).__name__}: {'objective' if frontier.maximises else 'least cost'}"
     title = f"{title} against {frontier.axis}"

@@ -62,7 +62,7 @@ def row_major(rows: int, columns: int) -> Callable[[int], Point]:
 
 
 def points_of(names: Iterable[Hashable], places: Places) -> FloatArray:
-    """Return the points of states or actions in the plane; nan for those without, [names, 2].
+    """Return the point of each state or action in the plane, nan for one without, [names, 2].
 
     Raises:
         ModelError: a value that is not a point.
@@ -95,7 +95,11 @@ def with_point(points: FloatArray) -> BoolArray:
 
 
 def distinct_points(points: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the distinct points of states, [cells, 2], and the cell of each state, -1 for none."""
+    """Return the distinct points of states, called cells, and the cell of each state.
+
+    Returns:
+        The points, [cells, 2], and the index of each state's cell, -1 without a point, [states].
+    """
     known, cell = with_point(points), np.full(len(points), -1)
     middles, inverse = np.unique(points[known], axis=0, return_inverse=True)
     cell[known] = inverse.reshape(-1)
@@ -103,7 +107,7 @@ def distinct_points(points: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def size_of(points: FloatArray, walls: Iterable[Point]) -> tuple[float, float]:
-    """Return the width and height in inches of a plot in the plane with these cells and walls."""
+    """Return width and height, in inches, of a plot that shows these points and walls."""
     everything = np.vstack([points, np.array([*walls, (np.nan, np.nan)], dtype=np.float64)])
     extent = np.nanmax(everything, axis=0) - np.nanmin(everything, axis=0) + 2.0 * _MARGIN
     side = np.clip(6.0 / extent.max(), 0.25, 0.55)  # of a cell, so that a picture fits on a page
@@ -141,9 +145,9 @@ def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[
 def squares_of(
     problem: Problem, points: FloatArray, walls: Iterable[Point]
 ) -> dict[str, list[Point]]:
-    """Return the kinds of cells (free, dead-end, wall, goal, start) -> the middles of each kind.
+    """Return the middles of the unit squares of each kind: free, dead-end, wall, goal and start.
 
-    If several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
+    If several states lie in a square, it is a goal if one of them is, and a dead-end if all are.
     """
     model, goal = problem.model, problem.model.goal_mask
     dead, begin = dead_ends(model) & ~goal, start_distribution(model, problem.start) > 0.0
@@ -182,7 +186,7 @@ _LONGEST = 0.46  # of a cell's side, from its middle
 
 
 class _Seen(NamedTuple):
-    """Expected visits of each cell, and the shares of its decisions."""
+    """Expected visits of each cell, and the shares of the decisions in each cell."""
 
     middles: FloatArray  # [cells, 2]
     visits: FloatArray  # [cells]
@@ -202,18 +206,19 @@ def plot_grid_policy(
 ) -> Axes:
     """Plot a policy's decisions in the plane, with cells shaded by their expected visits.
 
-    A cell in which one action is taken has one arrow. If several actions are taken there, because
-    the policy has a memory or draws at random, the cell is marked by a ring, and each action has an
-    arrow, whose length grows with its share of the visits. An action without a direction is a dot;
-    giving up is a cross. Walls, dead-ends and goals are drawn if they have a cell.
+    A cell in which one action is taken has one arrow. If several actions are taken in a cell,
+    because the policy has a memory or draws at random, the cell has a ring and an arrow for each
+    action; the length of an arrow grows with the action's share of the visits. An action without a
+    direction is a dot; giving up is a cross. Walls, dead-ends and goals are drawn if they have a
+    cell.
 
     Args:
         policy: any policy on the problem's model.
         problem: problem with the start.
-        cells: the (x, y) of a state, the middle of a unit square. Visits of states at the same
-            point, such as those with different memories, are added up; states without a point are
-            omitted.
-        moves: the (dx, dy) of an action.
+        cells: the point (x, y) of each state, the middle of a unit square. Visits of states at the
+            same point, such as those with different memories, are added up; states without a point
+            are omitted.
+        moves: the direction (dx, dy) of each action.
         walls: middles of unit squares that are walls, not states.
         most_visits: expected visits of the darkest shade; None: the most in the plot.
         ax: axes to draw on; None: a new figure.
@@ -306,7 +311,10 @@ def _plot_policies(
 
 
 def _visits_of_cells(policy: Policy | MixedPolicy, problem: Problem, points: FloatArray) -> _Seen:
-    """Return the visits and decisions of a policy by cell, given the states' points."""
+    """Return the expected visits of each cell by a policy, and the decisions taken there.
+
+    ``points`` has the point of each state, [states, 2].
+    """
     model, (middles, cell) = problem.model, distinct_points(points)
     pairs, gave_up = pair_visits(policy, problem)
     # the last row, which -1 stands for, collects the states without a point
@@ -414,7 +422,7 @@ def plot_episodes(
     Args:
         policy: any policy on the problem's model.
         problem: problem with the start.
-        cells: the (x, y) of a state, the middle of a unit square.
+        cells: the point (x, y) of each state, the middle of a unit square.
         episodes: number of episodes.
         seed: a number or a generator, for the episodes and the offsets.
         walls: middles of unit squares that are walls, not states.

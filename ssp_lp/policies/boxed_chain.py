@@ -1,4 +1,4 @@
-"""The chain of a policy when nature chooses the probabilities, within the box of each pair."""
+"""The chain of a policy in a model over boxes: nature chooses probabilities within the box."""
 
 from __future__ import annotations
 
@@ -22,7 +22,12 @@ MOST_ROUNDS = 1_000
 
 @dataclass(frozen=True, eq=False)
 class BoxedChain:
-    """A policy's chain with all outcomes that boxes allow, and the interval of each move."""
+    """A policy's chain with all outcomes that boxes allow, and an interval for each move.
+
+    Nodes are pairs (state, memory). A decision is a pair that is taken at a node, and a move is one
+    outcome of a decision. Nature, the opponent, chooses the probabilities of moves within their
+    intervals.
+    """
 
     chain: Chain
     offsets: IntArray  # [decisions + 1] moves of each decision, a pair taken at a node
@@ -31,7 +36,7 @@ class BoxedChain:
 
     @cached_property
     def share(self) -> FloatArray:
-        """Probability of the decision to which a move belongs, [moves]."""
+        """For each move, the probability that the policy takes the move's decision, [moves]."""
         shares = segment_sums(self.chain.probability, self.offsets)
         return np.asarray(shares[segment_ids(self.offsets)])
 
@@ -42,12 +47,12 @@ class BoxedChain:
 
     @property
     def is_exact(self) -> bool:
-        """Whether each pair is taken at one node only, so that nature chooses its outcomes once."""
+        """Whether no pair is taken at several nodes, so that nature chooses once for each pair."""
         first = self.chain.outcome[self.offsets[:-1]]
         return len(np.unique(first)) == len(first)
 
     def at(self, chosen: FloatArray, inside: BoolArray) -> Chain:
-        """Return the chain at given probabilities, without the moves out of other nodes.
+        """Return the chain at given probabilities, with only the moves out of given nodes.
 
         Args:
             chosen: probabilities within the boxes, [moves].
@@ -65,9 +70,9 @@ class BoxedChain:
         )
 
     def staying(self, inside: BoolArray) -> BoolArray:
-        """Return the greatest subset of nodes that nature can avoid leaving for ever, [nodes].
+        """Return the greatest subset of nodes in which nature can keep a run for ever, [nodes].
 
-        A node without moves is never left.
+        ``inside`` is the mask of the nodes to choose from. A node without moves is never left.
         """
         kept = inside
         while (fewer := kept & self._keeping(kept[self.chain.target])).sum() < kept.sum():
@@ -75,10 +80,10 @@ class BoxedChain:
         return kept
 
     def _keeping(self, within: BoolArray) -> BoolArray:
-        """Return the nodes at which nature can put all probability on given moves, [nodes].
+        """Return the nodes at which nature can give all other moves probability 0, [nodes].
 
         Args:
-            within: mask of the given moves, [moves].
+            within: mask of the moves that may keep a positive probability, [moves].
         """
         leaving = forced(self.low, self.high, ~within, self.offsets)
         keeping = np.ones(self.chain.n_nodes, dtype=np.bool_)
@@ -88,7 +93,7 @@ class BoxedChain:
     def collects_for_ever(self, reward: FloatArray, inside: BoolArray) -> bool:
         """Return whether nature can collect a reward infinitely often within given nodes.
 
-        It can if an end component of nature's choices has a move with a positive reward.
+        Nature can do so if an end component of its choices has a move with a positive reward.
 
         Args:
             reward: reward of each move, >= 0, [moves].
@@ -119,16 +124,18 @@ class BoxedChain:
     ) -> FloatArray:
         """Return the greatest expected total reward from each node over nature's choices, [nodes].
 
-        Policy iteration for nature (Puterman, Markov Decision Processes, 1994, section 7.2). Since
-        no reward is negative, it ends at the optimum if choices change only for a strict gain.
+        Computed by policy iteration over nature's choices (Puterman, Markov Decision Processes,
+        1994, section 7.2). No reward is negative and choices change only for a strict gain, so the
+        iteration ends at the optimum.
 
         Args:
-            reward: reward of each move out of a node inside, >= 0, not collected for ever, [moves].
-            at_end: reward of reaching a node outside, >= 0, [nodes].
+            reward: reward of each move out of a node in ``inside``, >= 0, [moves]; nature must not
+                be able to collect rewards for ever.
+            at_end: reward of reaching a node that is not in ``inside``, >= 0, [nodes].
             inside: mask of the nodes at which the run goes on, [nodes].
-            at_stop: reward if the policy gives up, >= 0, [nodes].
-            claim: reward if nature ends the run at a node inside, which it may do where the reward
-                is positive, >= 0, [nodes].
+            at_stop: reward if the policy gives up at a node, >= 0, [nodes].
+            claim: reward if nature ends the run at a node in ``inside``, >= 0, [nodes]; nature may
+                do so where this reward is positive.
 
         Raises:
             SolverError: nature's choices do not converge.

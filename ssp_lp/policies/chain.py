@@ -36,10 +36,11 @@ _FEW_NODES = 1_000_000  # most memories times pairs that are searched at once
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The part of a policy's chain that is reached from the start, sorted by memory and state.
+    """The Markov chain of a policy, as far as it is reached from the start.
 
-    It ends at goals, in dead-ends and when the policy gives up. A branch is a possible decision at
-    a node; a move is one outcome of a branch, so that costs stay attached to their outcomes.
+    Nodes are pairs (state, memory), sorted by memory, then by state. A branch is a possible
+    decision at a node. A move is one outcome of a branch; moves with equal target are not merged,
+    so that each has one cost. The chain ends at goals, in dead-ends and when the policy gives up.
     """
 
     model: SSP
@@ -88,13 +89,17 @@ class Chain:
         return sp.csr_array((self.probability, (self.source, self.target)), shape=(n, n))
 
     def per_node(self, move_values: FloatArray) -> FloatArray:
-        """Return the mean of ``move_values``, [moves], over the moves out of each node, [nodes]."""
+        """Return the mean of ``move_values`` over the moves out of each node, [nodes].
+
+        The mean is weighted by the probabilities of the moves; values are given for each move,
+        [moves].
+        """
         return np.bincount(
             self.source, weights=self.probability * move_values, minlength=self.n_nodes
         ).astype(np.float64)
 
     def ahead(self, values: FloatArray) -> FloatArray:
-        """Return the mean of ``values`` at the next node, [nodes] or [nodes, values]."""
+        """Return for each node the mean of ``values`` at the next node, [nodes] or [nodes, ...]."""
         return np.asarray(self.matrix @ values)
 
     def reaching(self, ends: BoolArray) -> BoolArray:
@@ -105,17 +110,17 @@ class Chain:
     def accumulate(
         self, reward: FloatArray, inside: BoolArray, survival: float = 1.0
     ) -> FloatArray:
-        """Return the expected total reward in the policy's chain from each node, within ``inside``.
+        """Return the expected total reward from each node until the run leaves ``inside``.
 
         Args:
             reward: reward of each visit, [nodes] or [nodes, rewards].
-            inside: mask of the nodes at which rewards are counted, and which the chain leaves for
-                good with probability 1, [nodes].
+            inside: mask of the nodes at which rewards are counted, [nodes]. A run must leave them
+                with probability 1.
             survival: discount factor of every move.
 
         Returns:
-            The expected totals, in the shape of ``reward``; 0 outside. ``evaluate_chain`` checks
-            the residuals.
+            The expected totals, in the shape of ``reward``; 0 at nodes that are not in ``inside``.
+            ``evaluate_chain`` checks the residuals.
         """
         result = np.zeros_like(reward)
         nodes, system = self._system(inside, survival)
@@ -125,7 +130,10 @@ class Chain:
         return result
 
     def arriving(self, survival: float = 1.0) -> tuple[FloatArray, FloatArray]:
-        """Return the goal probability and E[further cost; goal] from each node, [nodes] each.
+        """Return from each node the goal probability, and E[further cost; goal], [nodes] each.
+
+        The second array is the expected cost from the node on, counted only in runs that reach the
+        goal.
 
         Args:
             survival: discount factor of every move; the cost of the last move is not discounted.
@@ -158,7 +166,7 @@ class Chain:
         return self.visits(survival)[self.branch_node] * self.branch_probability
 
     def _system(self, inside: BoolArray, survival: float) -> tuple[IntArray, System]:
-        """Return the indices of the nodes inside and their (cached) system of equations."""
+        """Return the indices of the nodes in ``inside``, and their system of equations (cached)."""
         key = survival, inside.tobytes()
         if key not in self._systems:
             some = np.flatnonzero(inside)
@@ -218,7 +226,7 @@ def policy_chain(
 
     Args:
         model: the model.
-        policy: on the model.
+        policy: policy on the model.
         start: distribution over states, [states].
         most_nodes: greatest number of nodes.
 
@@ -288,9 +296,9 @@ def policy_chain(
 def _reachable_nodes(
     model: SSP, policy: Policy, start: IntArray, ended: BoolArray, size: int
 ) -> IntArray:
-    """Return the keys of the nodes that a policy reaches, by one search among all possible nodes.
+    """Return the keys of the nodes that a policy reaches, by one search over all possible nodes.
 
-    The key of a node is memory * n_states + state.
+    The key of the node (state, memory) is memory * n_states + state.
 
     Args:
         model: the model.
@@ -308,7 +316,10 @@ def _reachable_nodes(
 def _expand_chain(
     model: SSP, policy: Policy, keys: IntArray, ended: BoolArray, size: int | None
 ) -> _Step:
-    """Return the moves and branches out of nodes; nodes are keys, memory * n_states + state."""
+    """Return the moves and the branches out of some nodes, as arrays of their fields in Chain.
+
+    Nodes are given and returned by their keys, memory * n_states + state.
+    """
     memory, state = np.divmod(keys, model.n_states)
     acting = ~ended[state]
     keys, memory, state = keys[acting], memory[acting], state[acting]

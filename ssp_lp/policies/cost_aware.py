@@ -35,19 +35,19 @@ class CostAwarePolicy(Policy):
     """A deterministic decision for each (state, accumulated cost) below a cap, then a tail policy.
 
     The accumulated cost is counted in layers: layer k stands for the cost k * ``unit``. Below the
-    cap the memory is the layer. At the cap the policy switches for good to one of its stationary
-    tail policies, and the memory is ``cap`` plus the number of the tail. The last tail fails where
-    it can (the paper's pi'_or of section 3.5); it is chosen if the layer is at least the state's
-    ``tail_threshold``. Otherwise the first tail is chosen.
+    cap the memory is the layer. At the cap the policy switches for good to one of its tail
+    policies, which are stationary, and the memory is ``cap`` plus the number of this tail. The
+    policy switches to the last tail if the layer is at least the state's ``tail_threshold``, else
+    to the first tail. The last tail fails where it can (the paper's pi'_or of section 3.5).
 
-    With ``rounds_up``, the cost of a step is rounded up to whole layers. The cost paid is then at
-    most the cost in the memory, so the distribution of rounded costs never overstates success.
+    With ``rounds_up``, the cost of a step is rounded up to whole layers. The true cost is then at
+    most the cost in the memory, so success within a cost is never overstated.
 
-    With ``levels``, given totals take the place of the multiples of ``unit``; the last one is the
-    cap. After a step the memory is the level nearest to the sum of the previous level and the
-    step's cost, so any observed cost is accepted. If the levels are all sums that can occur, the
-    level is the exact cost paid; otherwise the cost is rounded at every step. Thresholds are then
-    totals.
+    With ``levels``, layer k stands for the total cost ``levels[k]``, and the last level is the cap.
+    After a step the memory is the level nearest to the sum of the previous level and the step's
+    cost, so any observed cost is accepted. If the levels are all sums that can occur, the level is
+    the exact cost paid; otherwise the cost is rounded at every step. Thresholds are then total
+    costs instead of layers.
 
     Raises:
         ModelError: levels that do not rise from 0, or are not one more than the layers.
@@ -82,7 +82,7 @@ class CostAwarePolicy(Policy):
 
     @property
     def cap(self) -> int:
-        """Number of layers: accumulated costs for which the policy has decisions of their own."""
+        """Number of layers below the cap, each with decisions of its own."""
         return int(self.decision.shape[0])
 
     @property
@@ -92,34 +92,40 @@ class CostAwarePolicy(Policy):
 
     @property
     def memory_size(self) -> int:
-        """Number of layers and tails."""
+        """Number of layers below the cap plus number of tail policies."""
         return self.cap + len(self.tails)
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """Key of the memory's meaning: the layers, and the rule that chooses a tail."""
+        """Key of the memory's meaning: its layers, and the rule for choosing a tail policy."""
         levels = b"" if self.levels is None else self.levels.tobytes()
         kept = self.cap, self.unit, self.rounds_up, len(self.tails)
         return *kept, self.tail_threshold.tobytes(), levels
 
     @property
     def remembers(self) -> str:
-        """The cost-aware policy's memory, in words."""
+        """Name of the quantity that the policy remembers."""
         return "cost paid"
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return what each memory means: a layer's cost paid so far, or the number of a tail."""
+        """Return the values of the memory with their names: a cost paid, or "tail 0", "tail 1"."""
         layers = [layer * self.unit for layer in range(self.cap)]
         paid = layers if self.levels is None else self.levels[:-1].tolist()
         return list(enumerate([*paid, *(f"tail {k}" for k in range(len(self.tails)))]))
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Return the cost-aware policy's memory at the start: layer 0, [episodes]."""
+        """Return the memory at the start of episodes in these states, [episodes].
+
+        It is layer 0, or a tail if the cap is 0.
+        """
         nothing = np.zeros(len(states), dtype=np.int64)
         return self._memory_at(nothing, self.tail_threshold[states] <= 0.0)
 
     def layers(self) -> CostLayers | None:
-        """Return decisions by layer; None if costs are not multiples of the unit, or too large."""
+        """Return the decisions by layer of the cost paid, for a sweep over layers.
+
+        None if some cost is not a multiple of the unit, or if the layers would be too many.
+        """
         if self.levels is not None:
             return self._level_layers(self.levels)
         given = self.model.costs
@@ -143,7 +149,7 @@ class CostAwarePolicy(Policy):
         )
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the cost-aware policy's one decision of each (state, cost paid)."""
+        """Return the decision in each (state, memory), as one branch of probability 1."""
         below = memory < self.cap
         pair = np.empty(len(states), dtype=np.int64)
         some = states[below]
@@ -153,7 +159,7 @@ class CostAwarePolicy(Policy):
         return Branches(np.arange(len(states)), pair, np.ones(len(states)))
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Add a cost to the cost-aware policy's memory; at the cap switch to a tail.
+        """Return the memory after steps: the layer that is reached or, from the cap on, a tail.
 
         Raises:
             ModelError: a cost is negative or not finite, or is not a multiple of the unit and is
@@ -177,7 +183,10 @@ class CostAwarePolicy(Policy):
         return np.where(acting, self._memory_at(layer, is_late), memory)
 
     def _passed(self, units: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return costs in whole layers, and a mask of costs that are not multiples of the unit."""
+        """Return the number of layers that costs pass, and a mask of costs between two layers.
+
+        ``units`` are costs divided by the unit. With ``rounds_up`` no cost is between layers.
+        """
         if self.rounds_up:
             passed = np.minimum(np.ceil(units * (1.0 - SAME_TOTAL)), _FAR)
             return passed, np.zeros(units.shape, dtype=np.bool_)
@@ -185,11 +194,11 @@ class CostAwarePolicy(Policy):
         return steps, ~(np.abs(units - steps) <= _NEAR)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
-        """Return decisions by layer: one layer for each level, and further ones beyond the cap.
+        """Return the decisions by layer of a policy with levels; None if there are too many.
 
-        The layers beyond the cap distinguish totals that lead to different tails. None: there would
-        be too many of them. A cost paid only in steps that end an episode leads to no layer of its
-        own: it moves up by one layer.
+        Each level is a layer. Further layers beyond the cap distinguish totals that lead to
+        different tails. A cost that occurs only in steps that end an episode counts as one layer,
+        since no further layer is reached.
         """
         cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
         goes_on = (self.tails[0] != UNDECIDED)[self.model.successors]
@@ -203,7 +212,10 @@ class CostAwarePolicy(Policy):
         rank = np.where(self.tail_threshold > farthest, beyond_all, asks)
 
         def reached(total: FloatArray, nearest: IntArray | None = None) -> IntArray:
-            """Return the layer that each total leads to, in the shape of ``total``."""
+            """Return the layer of each total, in the shape of ``total``.
+
+            ``nearest`` has the level nearest to each total, if known.
+            """
             nearest = _nearest_cost_level(levels, total) if nearest is None else nearest
             beyond = np.searchsorted(edges, total, side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
@@ -215,7 +227,7 @@ class CostAwarePolicy(Policy):
         even = alike if is_even else 0
 
         def leads(level: int) -> IntArray:
-            """Return by how many layers a step of each cost moves up from a level, [costs]."""
+            """Return the number of layers that a step of each cost passes from a level, [costs]."""
             if level < even:
                 return passed
             nearest = level + passed if is_even else None
@@ -234,7 +246,9 @@ class CostAwarePolicy(Policy):
         )
 
     def _separating(self, levels: FloatArray, costs: FloatArray) -> FloatArray:
-        """Return the tail thresholds beyond the cap that separate possible totals, increasing.
+        """Return the tail thresholds that distinguish totals beyond the cap, increasing.
+
+        If no total can lie between two thresholds, only one of them is returned.
 
         Args:
             levels: levels of accumulated cost, increasing; the last one is the cap.
@@ -254,7 +268,10 @@ class CostAwarePolicy(Policy):
         return np.asarray(edges[is_apart[: len(edges)]])
 
     def _memory_at(self, layer: IntArray, is_late: BoolArray) -> IntArray:
-        """Return the memory: the layer below the cap, else a tail, the last one if ``is_late``."""
+        """Return the memory at a layer: the layer itself below the cap, else the code of a tail.
+
+        The tail is the last one where ``is_late``, else the first one.
+        """
         tail = np.where(is_late, len(self.tails) - 1, 0)
         return np.where(layer < self.cap, layer, self.cap + tail)
 
@@ -266,7 +283,7 @@ class CostAwarePolicy(Policy):
 
 
 def _evenly_spaced(levels: FloatArray, costs: FloatArray) -> bool:
-    """Return whether each step moves up as far from every level as from level 0.
+    """Return whether a step of each cost passes equally many levels from every level.
 
     Args:
         levels: levels of a cost-aware policy, [levels].
@@ -279,18 +296,18 @@ def _evenly_spaced(levels: FloatArray, costs: FloatArray) -> bool:
 
 
 def _nearest_cost_level(levels: FloatArray, totals: FloatArray) -> IntArray:
-    """Return the index of the level nearest to each total; the lower one of two equally near."""
+    """Return the index of the level nearest to each total; of two equally near, the lower one."""
     above = np.clip(np.searchsorted(levels, totals), 1, len(levels) - 1)
     is_below = totals - levels[above - 1] <= levels[above] - totals
     return np.where(is_below, above - 1, above)
 
 
 def levels_of(policies: Iterable[Policy], layers: int | None = None) -> FloatArray | None:
-    """Return the levels of the first member with levels, [levels]; None if no member has any.
+    """Return the levels of the first policy that has levels, [levels]; None if none has.
 
     Args:
         policies: members of a lottery.
-        layers: number of levels below the last one that the member must have; None: any number.
+        layers: number of levels below the last one that the policy must have; None: any number.
     """
     found = (p.levels for p in policies if isinstance(p, CostAwarePolicy))
     told_apart = (levels for levels in found if levels is not None)

@@ -38,7 +38,7 @@ Randomness = np.random.Generator | int
 
 
 def generator_of(seed: Randomness) -> np.random.Generator:
-    """Return the random generator of a seed: a generator itself, or a new one from a number.
+    """Return the random generator of a seed: the seed itself, or a new generator from a number.
 
     Raises:
         ModelError: neither a generator nor a whole number >= 0.
@@ -51,12 +51,11 @@ def generator_of(seed: Randomness) -> np.random.Generator:
 
 
 class Decision(enum.StrEnum):
-    """Decisions of a policy other than actions of the model."""
+    """Decision of a policy that is not an action of the model: giving up."""
 
     GIVE_UP = "give up"
 
     def __repr__(self) -> str:
-        """Return the name of the constant."""
         return self.name
 
 
@@ -82,7 +81,7 @@ World = Literal["model", "other"]
 
 
 class Branches(NamedTuple):
-    """The possible decisions in several situations, one entry per branch."""
+    """The possible decisions in several situations (state, memory), one entry for each."""
 
     situation: IntArray  # [branches] position among the given situations
     pair: IntArray  # [branches] pair of the model, or GIVE_UP_CODE
@@ -92,18 +91,28 @@ class Branches(NamedTuple):
     )
 
     def kept(self, memory: IntArray) -> IntArray:
-        """Return the memory after each decision, [branches], given ``memory`` [situations]."""
+        """Return the memory after each decision and before its step, [branches].
+
+        ``memory`` has the memory in each situation, [situations].
+        """
         return memory[self.situation] if self.memory is None else self.memory
 
     def gives_up(self, memory: IntArray) -> BoolArray:
-        """Return a mask of the decisions that give up, also if they take an action, [branches]."""
+        """Return a mask of the decisions that give up, by an action or without one, [branches].
+
+        ``memory`` has the memory in each situation, [situations].
+        """
         changes = self.kept(memory) != memory[self.situation]
         return np.asarray((self.pair == GIVE_UP_CODE) | changes)
 
 
 @dataclass(frozen=True, eq=False)
 class CostLayers:
-    """A decision for each (layer, state); beyond the last layer a tail policy acts for good."""
+    """A decision for each (layer of accumulated cost, state), and tail policies beyond the layers.
+
+    A run that passes the last layer follows one of the tail policies, which are stationary, from
+    then on.
+    """
 
     decision: IntArray  # [layers, states] position in the state's pairs, or a code
     tails: IntArray  # [tails, states] pair, or a code
@@ -144,10 +153,10 @@ class _Playable(Report, ReadOnlyCopies, ABC):
         Args:
             seed: generator for the draws of the lottery and of actions, which continues from
                 episode to episode; or a number, with which every episode has the same draws.
-            world: "model" if episodes are played in the policy's model. Then it is an error to
-                observe a step that the model does not have, to ask for an action in a state other
-                than the last observed one, or to observe twice after one action. "other" for any
-                other world, such as a simulator or a machine.
+            world: "model": episodes are played in the policy's model, and it is an error to observe
+                a step that the model does not have, to ask for an action in a state other than the
+                last observed one, or to observe twice after one action. "other": episodes are
+                played in any other world, such as a simulator or a machine.
 
         Raises:
             ModelError: a lottery without a generator.
@@ -216,7 +225,7 @@ class _Playable(Report, ReadOnlyCopies, ABC):
 
     @explained
     def action(self, state: Hashable) -> Hashable:
-        """Return the policy's action: :data:`GIVE_UP` for giving up, None if the episode is over.
+        """Return the policy's action in a state; GIVE_UP to give up, None where episodes are over.
 
         Raises:
             ModelError: unknown state; a state in which the policy has no decision; or the action
@@ -247,8 +256,8 @@ class _Playable(Report, ReadOnlyCopies, ABC):
 class Policy(_Playable):
     """Base class of policies, with a finite memory or none.
 
-    Its methods work on many episodes at once. The memory is an integer, which only the policy
-    interprets. By default a policy has no memory.
+    The methods work on many episodes at once. A policy's memory is an integer for each episode,
+    which only the policy interprets. By default a policy has no memory, or that of its ``carrier``.
     """
 
     model: SSP
@@ -258,17 +267,17 @@ class Policy(_Playable):
 
     @property
     def declares_failing(self) -> bool:
-        """Whether the policy itself sets the failure label, and acts on states that carry it."""
+        """Whether the policy acts on states with a failure label, and declares failing itself."""
         return self.model.failure_label is not None
 
     @property
     def memory_size(self) -> int | None:
-        """Number of values of the policy's memory, 0 .. size - 1; None: unknown."""
+        """Number of values of the policy's memory, which are 0 .. size - 1; None: unknown."""
         return None if self.carrier is None else self.carrier.memory_size
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """Key of the memory's meaning: policies with equal keys can use each other's memory."""
+        """Key of the memory's meaning: policies with equal keys can share one memory."""
         return () if self.carrier is None else self.carrier.meaning
 
     @property
@@ -282,7 +291,7 @@ class Policy(_Playable):
         return ((1.0, self),)
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the values of the policy's memory, with their names in its table.
+        """Return the values of the policy's memory, each with the name that tables show.
 
         Raises:
             ModelError: the memory is unbounded.
@@ -294,7 +303,7 @@ class Policy(_Playable):
         return [(0, None)] if size == 1 else [(k, k) for k in range(size)]
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states in which the policy may have a decision with this memory, [states]."""
+        """Return the indices of the states in which the policy may decide with this memory."""
         return np.arange(self.model.n_states)
 
     def decisions(self) -> Iterator[Decisions]:
@@ -314,7 +323,12 @@ class Policy(_Playable):
         return nothing if self.carrier is None else self.carrier.start_memory(states)
 
     def reaches(self, states: IntArray, memory: IntArray) -> BoolArray:
-        """Return a mask of episodes whose memory says that the goal is reached, [episodes]."""
+        """Return a mask of the episodes that are at the goal, [episodes].
+
+        Args:
+            states: states of the episodes, [episodes].
+            memory: values of the policy's memory, [episodes].
+        """
         return self.model.goal_mask[states]
 
     def begins(self, states: IntArray) -> BoolArray:
@@ -322,22 +336,25 @@ class Policy(_Playable):
         return np.ones(len(states), dtype=np.bool_)
 
     def layers(self) -> CostLayers | None:
-        """Return the decisions by layers of the cost paid; None if the memory is not the cost."""
+        """Return the decisions by layer of the cost paid; None if they depend on something else."""
         return None
 
     @abstractmethod
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the policy's decisions with probabilities in each (state, memory)."""
+        """Return the policy's possible decisions in each situation (state, memory)."""
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Return the memory after steps; a step is a pair, a successor and a cost, [episodes]."""
+        """Return the memory after steps, [episodes].
+
+        ``step`` has the pairs, the successors and the costs of the steps, [episodes] each.
+        """
         return memory if self.carrier is None else self.carrier.remember(memory, *step)
 
     def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the memory after steps that are known by pair and outcome, [episodes].
+        """Return the memory after steps that are given by pair and outcome, [episodes].
 
-        By default this is :meth:`remember` with the successors and costs of the outcomes. A memory
-        that distinguishes outcomes of equal successor and cost overrides it.
+        By default this is :meth:`remember` with the successors and costs of the outcomes. A policy
+        overrides it if its memory distinguishes outcomes with the same successor and cost.
         """
         if self.carrier is not None:
             return self.carrier.remember_outcomes(memory, pairs, outcomes)
@@ -351,7 +368,7 @@ class Policy(_Playable):
 
     @property
     def staying(self) -> IntArray:
-        """Pair of each state by which the policy surely avoids the goal, or UNDECIDED, [states]."""
+        """For each state a pair that surely avoids the goal; UNDECIDED: none, [states]."""
         pairs = np.flatnonzero(attention_pairs(self.model, attention_states(self.model)))
         states, first = np.unique(self.model.pair_state[pairs], return_index=True)
         decision = np.full(self.model.n_states, UNDECIDED, dtype=np.int64)
@@ -361,7 +378,9 @@ class Policy(_Playable):
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None
     ) -> tuple[IntArray, IntArray]:
-        """Draw a decision for each episode; return its pair and the memory after it, [episodes].
+        """Draw a decision for each episode; return the pairs and the memories after them.
+
+        Both arrays have an entry for each episode, [episodes].
 
         Raises:
             ModelError: the policy has no decision in one of the states.
@@ -385,7 +404,10 @@ class Policy(_Playable):
 
 
 def check_policies(policies: Sequence[Any], parts: str) -> None:
-    """Raise :class:`ModelError` unless all parts are policies on one model."""
+    """Raise :class:`ModelError` unless all entries are policies on one model.
+
+    ``parts`` is what the entries are called in errors.
+    """
     for one in policies:
         if not isinstance(one, Policy):
             raise ModelError(
@@ -396,7 +418,7 @@ def check_policies(policies: Sequence[Any], parts: str) -> None:
 
 
 def check_costs(costs: FloatArray | float) -> None:
-    """Raise :class:`ModelError` unless costs that a policy observes are finite numbers >= 0."""
+    """Raise :class:`ModelError` unless observed costs are finite numbers >= 0."""
     paid = np.atleast_1d(costs)
     wrong = ~((paid >= 0.0) & np.isfinite(paid))
     if wrong.any():
@@ -411,10 +433,12 @@ class EpisodeBatch:
     """Episodes of a policy that are played side by side, each by a drawn member. Mutable.
 
     Your own loop calls ``actions`` and ``observe`` with the labels of states of all episodes. The
-    library's simulation calls ``begin``, ``decide`` and ``remember``, which take indices of
-    episodes, states and pairs. An episode is over at a goal, in a dead-end or after giving up,
-    whatever is observed afterwards. If the policy has decisions after failing, a failed episode
-    goes on instead, and ``failed`` is True.
+    library's simulation calls ``begin``, ``decide`` and ``remember``, with indices of episodes,
+    states and pairs.
+
+    An episode is over at a goal, in a dead-end or after giving up, whatever is observed afterwards.
+    If the policy has decisions after failing, a failed episode goes on, and its entry of ``failed``
+    is True.
     """
 
     def __init__(
@@ -448,12 +472,12 @@ class EpisodeBatch:
     def actions(self, states: Sequence[Hashable]) -> list[Hashable]:
         """Return the policy's action in each episode of the batch, [episodes].
 
-        It is :data:`GIVE_UP` from the step on at which an episode gives up, and None once the
-        episode is over at a goal or in a dead-end, whatever its state. An episode that gives up and
-        goes on has an action, and ``failed`` from then on.
+        If an episode is over, the entry is :data:`GIVE_UP` after giving up, and None after reaching
+        a goal or a dead-end. An episode that gives up and goes on has an action, and ``failed`` is
+        True from then on.
 
         Args:
-            states: [episodes].
+            states: the state that each episode is in, [episodes]; any state if the episode is over.
 
         Raises:
             ModelError: a wrong number of states, or a state that is unknown, is not the observed
@@ -485,11 +509,12 @@ class EpisodeBatch:
 
     @explained
     def observe(self, successors: Sequence[Hashable], costs: Sequence[float] | FloatArray) -> None:
-        """Observe the successors and costs of the steps, to update the policies' memories.
+        """Update the policies' memories, given the successors and costs of the last steps.
 
         Args:
-            successors: [episodes]; of those that are over, any state.
-            costs: [episodes]; any costs >= 0 that the memory can count, not only the model's.
+            successors: state that each episode has reached, [episodes]; any state if it is over.
+            costs: cost of each step, >= 0, [episodes]. It may differ from the model's if the
+                policy's memory can count it.
 
         Raises:
             ModelError: unknown state or one that the step cannot lead to, a wrong number of
@@ -522,14 +547,23 @@ class EpisodeBatch:
         self._is_observed = True
 
     def begin(self, states: IntArray, going: BoolArray) -> None:
-        """Set the initial memories of the episodes ``going``; others end where they start."""
+        """Set the initial memory of each episode, except those that are over at their start.
+
+        Args:
+            states: indices of the states in which episodes begin, [episodes].
+            going: mask of the episodes that are not over at their start, [episodes].
+        """
         for member, mine in self.shares(begun := np.flatnonzero(going)):
             self.memory[begun[mine]] = member.start_memory(states[begun[mine]])
 
     def decide(self, episodes: IntArray, states: IntArray) -> IntArray:
-        """Return a pair or GIVE_UP_CODE for each of the given episodes in these states.
+        """Return the pair that each given episode takes, or GIVE_UP_CODE, [given episodes].
 
-        A policy that also acts after giving up returns that action instead of GIVE_UP_CODE.
+        A policy that goes on after giving up has a pair instead of GIVE_UP_CODE.
+
+        Args:
+            episodes: indices of the episodes.
+            states: index of the state of each, [given episodes].
         """
         pairs = np.empty(len(episodes), dtype=np.int64)
         for member, mine in self.shares(episodes):
@@ -540,14 +574,17 @@ class EpisodeBatch:
         return pairs
 
     def remember(self, episodes: IntArray, *step: *Step) -> None:
-        """Update the policies' memories of the given episodes."""
+        """Update the policies' memories in the given episodes after a step.
+
+        ``step`` has the pairs, the successors and the costs of these steps, [given episodes] each.
+        """
         pairs, successors, costs = step
         for member, mine in self.shares(episodes):
             own, taken = episodes[mine], (pairs[mine], successors[mine], costs[mine])
             self.memory[own] = member.remember(self.memory[own], *taken)
 
     def shares(self, episodes: IntArray) -> Iterator[tuple[Policy, IntArray]]:
-        """Yield each member with the positions of the episodes that it plays."""
+        """Yield each member with the positions in ``episodes`` of those that it plays."""
         for number, member in enumerate(self._members):
             mine = np.flatnonzero(self._drawn[episodes] == number)
             if mine.size:
@@ -577,11 +614,11 @@ class Episode:
 
     @explained
     def action(self, state: Hashable) -> Hashable:
-        """Return the policy's action in this state; :data:`GIVE_UP` or None once it is over.
+        """Return the policy's action in this state.
 
-        An episode is over after giving up, at a goal, or at a dead-end. If its problem counts
-        quantities after failing, the policy has decisions after failing and the episode goes on.
-        ``failed`` is True once the goal is given up.
+        Once the episode is over, return :data:`GIVE_UP` after giving up, and None at a goal or in a
+        dead-end. If the problem counts quantities after failing, a failed episode goes on with
+        actions. ``failed`` is True once the goal is given up.
 
         Raises:
             ModelError: the state is unknown, is not the observed one, or has no decision.
@@ -590,11 +627,11 @@ class Episode:
 
     @explained
     def observe(self, successor: Hashable, cost: float) -> None:
-        """Observe the successor and cost of the step, to update the policy's memory.
+        """Update the policy's memory, given the successor and the cost of the last step.
 
         Args:
             successor: state to which the action led.
-            cost: cost of the step, >= 0, not only the model's.
+            cost: cost of the step, >= 0. It may differ from the model's if the memory can count it.
 
         Raises:
             ModelError: unknown state or one that the step cannot lead to, an episode that is over,
@@ -613,7 +650,7 @@ class Episode:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeterministicPolicy(Policy):
-    """One decision per state: a pair of the model, giving up, or none where it never acts."""
+    """One decision for each state: a pair of the model, giving up, or none where it never acts."""
 
     model: SSP
     decision: IntArray  # [states] pair, GIVE_UP_CODE or UNDECIDED
@@ -645,7 +682,7 @@ class DeterministicPolicy(Policy):
         return 1
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the deterministic policy's one decision of each state."""
+        """Return the decision in each of the given states, as one branch of probability 1."""
         n = len(states)
         return Branches(np.arange(n), self.decision[states].astype(np.int64), np.ones(n))
 
@@ -665,7 +702,7 @@ class DeterministicPolicy(Policy):
 
 
 def _decided_pair(model: SSP, state: int, action: Hashable) -> int:
-    """Return the pair of a state's action; GIVE_UP_CODE for giving up.
+    """Return the pair by which a state takes an action; GIVE_UP_CODE for giving up.
 
     The text "give up" means giving up unless an action of the state has this name.
     """
@@ -676,11 +713,11 @@ def _decided_pair(model: SSP, state: int, action: Hashable) -> int:
 
 
 def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = False) -> None:
-    """Raise :class:`ModelError` if a deterministic policy's decision is not a pair of its state.
+    """Raise :class:`ModelError` if the decision in some state is not a pair of this state.
 
     Args:
         model: the model.
-        decision: pair or code of each state, [..., states].
+        decision: pair or negative code of each state, [..., states].
         as_positions: pairs are given by their position among the pairs of their state.
     """
     low, high = model.pair_offsets[:-1], model.pair_offsets[1:]
@@ -701,8 +738,8 @@ def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = Fals
 class StochasticPolicy(Policy):
     """A distribution over decisions in each situation, that is in each (state, memory).
 
-    Situations are sorted by (memory, state). The memory is updated like the memory of ``carrier``;
-    without a carrier the policy is stationary on the model's states. The randomised policy
+    Situations are sorted by memory, then by state. The memory is that of the policy ``carrier``;
+    without a carrier the policy is stationary on the model's states. The randomised policy that is
     equivalent to a mixed policy (paper, section 2.2) has this form.
     """
 
@@ -749,15 +786,15 @@ class StochasticPolicy(Policy):
         flows: FloatArray,
         carrier: Policy | None = None,
     ) -> StochasticPolicy:
-        """Return the policy that draws a situation's decisions in proportion to their flow.
+        """Return the policy that draws decisions in proportion to their flows in each situation.
 
         Args:
             model: the model.
-            keys: situation of each decision, memory * n_states + state, in any order; repetitions
-                are allowed, [decisions].
+            keys: situation of each decision, memory * n_states + state, in any order, [decisions].
+                A decision may be listed repeatedly.
             pairs: pair of the model or GIVE_UP_CODE, [decisions].
             flows: expected number of times that the decision is taken, [decisions].
-            carrier: policy whose memory is meant in ``keys``; None: no memory.
+            carrier: policy whose memory stands in ``keys``; None: no memory.
         """
         joint, back = np.unique(keys * (model.n_pairs + 1) + pairs + 1, return_inverse=True)
         flow = np.bincount(back, weights=flows).astype(np.float64)
@@ -802,7 +839,7 @@ class StochasticPolicy(Policy):
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class MixedPolicy(_Playable):
-    """A lottery at the start over a few policies (paper, section 2.2).
+    """A lottery over a few policies, drawn once at the start (paper, section 2.2).
 
     Raises:
         ModelError: no members, or weights that are negative or do not sum to one.
@@ -840,7 +877,7 @@ class MixedPolicy(_Playable):
 
 
 def as_lottery(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """Return a policy as a lottery, with one member unless it is one already.
+    """Return a lottery: the argument itself, or a lottery with a single policy as its only member.
 
     Raises:
         ModelError: the argument is no policy.

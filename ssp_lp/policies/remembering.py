@@ -40,23 +40,24 @@ from ssp_lp.policies.policy import (
 
 
 class _Carried(Policy):
-    """A policy that adds a digit to another's memory: ``inner memory * len(digits) + digit``."""
+    """A policy whose memory is another policy's memory and a digit that it adds itself.
+
+    The memory is stored as the number ``inner memory * len(digits) + digit``.
+    """
 
     inner: Policy
 
     @property
     @abstractmethod
     def digits(self) -> Sequence[Hashable]:
-        """Names of the values of the digit that this policy adds."""
+        """Names of the values of the digit that this policy adds to the inner policy's memory."""
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """Model of the inner policy."""
         return self.inner.model
 
     @property
     def step_limit(self) -> int | None:  # type: ignore[override]
-        """Step limit of the inner policy."""
         return self.inner.step_limit
 
     @property
@@ -65,7 +66,7 @@ class _Carried(Policy):
         return self.inner.goes_on
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the names of the memories: the digit, and any memory of the inner policy."""
+        """Return the values of the memory with their names: the digit, or (digit, inner memory)."""
         return [
             (code * len(self.digits) + k, word if words is None else (word, words))
             for k, word in enumerate(self.digits)
@@ -84,10 +85,10 @@ class _Carried(Policy):
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class TimedPolicy(_Carried):
-    """One policy for each time step; the last one acts in all later steps (paper, section 3.4).
+    """One policy (stage) for each time step; the last one acts in all later steps.
 
-    The memory consists of the number of the stage and of one memory that all stages share, which
-    must have the same meaning for all of them.
+    This is the paper's form of section 3.4. The memory consists of the number of the current stage
+    and of a memory that all stages share, which must have the same meaning in all of them.
 
     Raises:
         ModelError: no stages, or stages on different models.
@@ -103,12 +104,12 @@ class TimedPolicy(_Carried):
 
     @property
     def inner(self) -> Policy:  # type: ignore[override]
-        """First stage; its rule updates the memory that the stages share."""
+        """Policy of the first stage, which updates the memory that all stages share."""
         return self.stages[0]
 
     @property
     def digits(self) -> Sequence[Hashable]:
-        """Numbers of the stages."""
+        """The stage numbers 0, 1, ..."""
         return range(len(self.stages))
 
     @property
@@ -123,11 +124,11 @@ class TimedPolicy(_Carried):
         return len(self.stages), *self.inner.meaning
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Return the initial memory, in the first stage, [episodes]."""
+        """Return the initial memory: the first stage, and its own initial memory, [episodes]."""
         return self.joined(self.inner.start_memory(states), 0)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return in each situation the decisions of the stage that its memory names."""
+        """Return the decisions in each situation, taken from the stage that the memory names."""
         inner, stage = self.split(memory)
         parts = []
         for number in np.unique(np.append(stage, 0)):
@@ -136,7 +137,7 @@ class TimedPolicy(_Carried):
         return merged(memory, *parts)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Update the shared memory, and move on to the next stage."""
+        """Return the memory after steps: the shared memory, updated, and the next stage."""
         inner, stage = self.split(memory)
         moved = self.inner.remember(inner, *step)
         return self.joined(moved, np.minimum(stage + 1, len(self.stages) - 1))
@@ -147,13 +148,22 @@ class TimedPolicy(_Carried):
 
 
 def asked(policy: Policy, some: IntArray, states: IntArray, memory: IntArray) -> Branches:
-    """Return a policy's decisions in the situations ``some``, which are indices into the arrays."""
+    """Return a policy's decisions in some of the given situations (state, memory).
+
+    ``some`` has the indices of these situations in ``states`` and ``memory``, and the decisions
+    refer to the situations by these indices.
+    """
     branches = policy.branches(states[some], memory[some])
     return branches._replace(situation=some[branches.situation])
 
 
 def merged(memory: IntArray, *parts: Branches) -> Branches:
-    """Merge decisions in different situations into one array, sorted by situation."""
+    """Merge decisions in different situations (state, memory) into one ``Branches``, in order.
+
+    Args:
+        memory: the memory in each situation, [situations].
+        parts: decisions, each part in other situations.
+    """
     situation, pair, probability, kept = (
         np.concatenate(part)
         for part in zip(*((*part[:3], part.kept(memory)) for part in parts), strict=True)
@@ -164,10 +174,10 @@ def merged(memory: IntArray, *parts: Branches) -> Branches:
 
 @dataclass(frozen=True, eq=False)
 class JointMemory(Policy):
-    """A policy that updates the memories of several policies, the keepers, and decides as another.
+    """A policy that decides as another policy, and updates the memories of several policies.
 
-    The memory is a mixed-radix number whose digits are the keepers' memories, the first one
-    leading.
+    The policies whose memories are updated are the keepers. The joint memory is a mixed-radix
+    number; its digits are the keepers' memories, the first keeper's most significant.
     """
 
     keepers: tuple[Policy, ...]  # one for each memory, all of which have a known size
@@ -185,27 +195,27 @@ class JointMemory(Policy):
 
     @property
     def meaning(self) -> tuple[object, ...]:
-        """Meanings of the keepers' memories."""
+        """Key of the memory's meaning: the meaning of each keeper's memory."""
         return tuple(keeper.meaning for keeper in self.keepers)
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the values of the joint memory, named by tuples of the keepers' names."""
+        """Return the values of the joint memory; a name is the tuple of the keepers' names."""
         parts = every_choice(*(keeper.memories() for keeper in self.keepers))
         joint = [tuple(zip(*some, strict=True)) for some in parts]
         return [(int(np.ravel_multi_index(codes, self._sizes)), words) for codes, words in joint]
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states that every keeper lists for its part of a memory, [states]."""
+        """Return the states that every keeper lists for its part of the joint memory."""
         listed = [keeper.listed_states(int(part)) for keeper, part in self._parts(memory)]
         return reduce(np.intersect1d, listed, np.arange(self.model.n_states))
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Return the initial joint memory, made of each keeper's memory, [episodes]."""
+        """Return the initial joint memory, from the initial memory of each keeper, [episodes]."""
         parts: list[IntArray] = [keeper.start_memory(states) for keeper in self.keepers]
         return np.asarray(np.ravel_multi_index(parts, self._sizes))
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decisions of ``decider``, given its part of a joint memory."""
+        """Return the decisions of the policy ``decider``, given its part of the joint memory."""
         meaning = self.decider.meaning
         mine = (part for keeper, part in self._parts(memory) if keeper.meaning == meaning)
         own = next(mine, None)
@@ -213,22 +223,25 @@ class JointMemory(Policy):
         return self.decider.branches(states, own)._replace(memory=None)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Update each keeper's part of a joint memory."""
+        """Return the joint memory after steps, with each keeper's part updated, [episodes]."""
         moved = [keeper.remember(part, *step) for keeper, part in self._parts(memory)]
         return np.asarray(np.ravel_multi_index(moved, self._sizes))
 
     def _parts(self, memory: IntArray | int) -> list[tuple[Policy, IntArray]]:
-        """Return each keeper with its part of a joint memory."""
+        """Return each keeper with its part of the joint memory."""
         return [*zip(self.keepers, np.unravel_index(memory, self._sizes), strict=True)]
 
     @property
     def _sizes(self) -> tuple[int, ...]:
-        """Number of values of each keeper's part of a joint memory."""
+        """Number of values of each keeper's memory."""
         return tuple(keeper.memory_size or 1 for keeper in self.keepers)
 
 
 def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
-    """Return one member of a lottery for each meaning of memory among its members.
+    """Return members of a lottery, one for each kind of memory that its members have.
+
+    Members have the same kind of memory if their ``meaning`` is equal. Members without memory are
+    left out.
 
     Raises:
         ModelError: a member is of a class with unknown memory.
@@ -244,9 +257,10 @@ def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RememberingPolicy(_Carried):
-    """A policy on a product (state, memory) that acts on the original model's states.
+    """A policy on a product (state, memory), translated to the original model's states.
 
-    It updates the product's memory itself, which is the digit of its own memory.
+    The policy keeps the product's memory itself, as the digit that it adds to the inner policy's
+    memory.
     """
 
     inner: Policy  # on the product
@@ -261,7 +275,7 @@ class RememberingPolicy(_Carried):
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """Original model of a policy that remembers a product's memory."""
+        """Original model of the product."""
         return self.product.original
 
     @property
@@ -283,7 +297,7 @@ class RememberingPolicy(_Carried):
         return np.sort(self.product.original_state[here])
 
     def begins(self, states: IntArray) -> BoolArray:
-        """Return a mask of states that occur in the product with the initial memory, [episodes]."""
+        """Return a mask of the states in which episodes of the product may begin, [episodes]."""
         return np.asarray(self.product.table[states, self.product.first_memory(states)] >= 0)
 
     def reaches(self, states: IntArray, memory: IntArray) -> BoolArray:
@@ -292,20 +306,23 @@ class RememberingPolicy(_Carried):
         return self.inner.reaches(self.product.at(states, number), inner)
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Return the initial memories of the product and of the inner policy, [episodes]."""
+        """Return the initial memory, the product's and the inner policy's as one, [episodes]."""
         begun = self.product.first_memory(states)
         here = self.product.at(states, begun)
         return self.joined(self.inner.start_memory(here), begun)
 
     @property
     def ended(self) -> BoolArray:
-        """Mask of goals, and of dead-ends in which the inner policy never acts, [states]."""
+        """Mask of the states in which an episode is over, [states].
+
+        These are goals and dead-ends, except states where the inner policy may still act.
+        """
         over = super().ended.copy()
         over[self.product.original_state[~self.inner.ended]] = False
         return over
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decisions as original pairs; GIVE_UP_CODE where the goal cannot be reached."""
+        """Return the decisions as original pairs; giving up where the goal cannot be reached."""
         product, (inner, number) = self.product, self.split(memory)
         here = product.at(states, number)
         inside = self.inner.branches(here, inner)
@@ -319,7 +336,7 @@ class RememberingPolicy(_Carried):
         return Branches(inside.situation, pair, inside.probability, kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Return the memories of product and inner policy after each step, [episodes].
+        """Return the memory after steps, the product's and the inner policy's as one, [episodes].
 
         Raises:
             ModelError: a cost is negative or not finite, or a step leads to a memory that the
@@ -334,7 +351,7 @@ class RememberingPolicy(_Carried):
         return self.joined(moved, product.labels.number[there])
 
     def remember_outcomes(self, memory: IntArray, pairs: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the memories of product and inner policy after outcomes, [episodes]."""
+        """Return the memory after steps that are given by pair and outcome, [episodes]."""
         product, (inner, begun) = self.product, self.split(memory)
         taken = product.placed(product.at(self.model.pair_state[pairs], begun), pairs)
         there, places = product.moved_by(taken, outcomes)
@@ -348,11 +365,11 @@ class RememberingPolicy(_Carried):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LabelledPolicy(_Carried):
-    """A policy on (state, failure label) that acts on the original states, also after failing.
+    """A policy on (state, failure label), translated to the original states; it acts after failing.
 
-    To give up, it takes an action; until the step is observed, the memory is "giving up". In a
-    dead-end the policy goes on acting if its problem counts quantities there. The digit of its
-    memory is the label.
+    The policy keeps the label itself, as the digit that it adds to the inner policy's memory. When
+    it gives up it also takes an action; until this step is observed, the label is "giving up". In a
+    dead-end the policy goes on acting if its problem counts quantities there.
     """
 
     inner: Policy  # on the product with the label
@@ -366,7 +383,7 @@ class LabelledPolicy(_Carried):
 
     @property
     def model(self) -> SSP:  # type: ignore[override]
-        """Original model of a policy that remembers the failure label."""
+        """Original model of the product, without failure labels."""
         return self.product.original
 
     @property
@@ -376,13 +393,17 @@ class LabelledPolicy(_Carried):
 
     @property
     def staying(self) -> IntArray:
-        """Pair of each state by which the policy surely avoids the goal, at no cost if possible."""
+        """For each state a pair that surely avoids the goal; UNDECIDED: none, [states].
+
+        If possible, the pair adds nothing to the counted quantities when it is repeated after
+        failing.
+        """
         decision, pairs = super().staying, self.product.staying_after
         decision[self.model.pair_state[pairs]] = pairs
         return decision
 
     def listed_states(self, memory: int) -> IntArray:
-        """Return the states with a decision: after failing if ``memory`` says so, else before."""
+        """Return the states in which the policy may have a decision with this memory."""
         failed = memory % len(self.digits) > 0
         return np.flatnonzero(self.product.is_open if failed else ~self.ended)
 
@@ -391,7 +412,7 @@ class LabelledPolicy(_Carried):
         return self.joined(self.inner.start_memory(states), _Label.BEFORE)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decisions as original pairs; the memory says whether they give up."""
+        """Return the decisions as original pairs; a decision that gives up changes the memory."""
         product, (inner, label) = self.product, self.split(memory)
         here = states + product.n_original * (label == _Label.AFTER)
         situation, pair, chance, _ = self.inner.branches(here, inner)
@@ -407,10 +428,10 @@ class LabelledPolicy(_Carried):
         return Branches(situation, acting, chance / total[situation], kept)
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Update the failure label, and the inner policy's memory, [episodes].
+        """Return the memory after steps: the failure label and the inner memory, [episodes].
 
-        The inner policy's memory gets the charge as the cost of the step that fails, and 0 for
-        later steps.
+        The inner policy observes the charge as the cost of the step that fails, and 0 for later
+        steps.
         """
         pairs, successors, costs = step
         product, (inner, label) = self.product, self.split(memory)
@@ -434,7 +455,7 @@ class LabelledPolicy(_Carried):
 
 
 class _Label(enum.IntEnum):
-    """Values of the failure label in a policy's memory."""
+    """Values of the failure label in the memory of a policy that acts after failing."""
 
     BEFORE = 0
     GIVING_UP = 1  # with the next action
@@ -445,9 +466,11 @@ class _Label(enum.IntEnum):
 class CompletePolicy(_Carried):
     """A policy that extends another one to all states with actions.
 
-    The digit of its memory is 0 while the inner policy acts, 1 once the inner policy's episode is
-    over (it gave up, or is in a dead-end), and 2 in an episode that begins in a state in which the
-    inner policy cannot begin.
+    The digit that it adds to the inner policy's memory is
+
+    - 0 while the inner policy acts;
+    - 1 once the inner policy's episode is over (it gave up, or is in a dead-end);
+    - 2 in an episode that begins where the inner policy cannot begin.
 
     Raises:
         ModelError: a decision is not a pair of its state.
@@ -470,7 +493,11 @@ class CompletePolicy(_Carried):
         return np.asarray(self.model.goal_mask | (np.diff(self.model.pair_offsets) == 0))
 
     def memories(self) -> list[tuple[int, Hashable]]:
-        """Return the inner memories, "over" and, if episodes may begin elsewhere, "elsewhere"."""
+        """Return the values of the memory with their names.
+
+        The names are those of the inner policy, then "over" and, if episodes may begin where the
+        inner policy cannot, "elsewhere".
+        """
         known = [(3 * code, words) for code, words in self.inner.memories()]
         begins = self.inner.begins(np.arange(self.model.n_states)).all()
         return [*known, (1, "over"), *([] if begins else [(2, "elsewhere")])]
@@ -484,13 +511,16 @@ class CompletePolicy(_Carried):
         return listed[acting[listed]]
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Return the inner policy's initial memory, or 2 where it does not begin, [episodes]."""
+        """Return the initial memory, [episodes]: the inner policy's, or 2 where it cannot begin."""
         memory, begins = np.full(len(states), 2), self.inner.begins(states)
         memory[begins] = 3 * self.inner.start_memory(states[begins])
         return memory
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the inner policy's decisions; without one, ``otherwise`` or ``afterwards``."""
+        """Return the inner policy's decisions; where it has none, those that this policy adds.
+
+        They are ``afterwards`` once the inner policy's episode is over, otherwise ``otherwise``.
+        """
         inner, alone = self.split(memory)
         over = (alone == 1) | self.inner.ended[states]
         found = asked(self.inner, np.flatnonzero(~over & (alone == 0)), states, inner)
@@ -504,7 +534,10 @@ class CompletePolicy(_Carried):
         return merged(memory, planned, Branches(silent, rest, np.ones(silent.size)))
 
     def remember(self, memory: IntArray, *step: *Step) -> IntArray:
-        """Return the inner policy's memory after steps, until its episode is over, [episodes]."""
+        """Return the memory after steps, [episodes].
+
+        The inner policy's memory is updated until its episode is over.
+        """
         pairs, _, costs = step
         check_costs(costs)
         inner, alone = self.split(memory)
@@ -532,10 +565,15 @@ def acting_everywhere(
 ) -> MixedPolicy:
     """Return a policy that acts in every state of its model that has actions, except at goals.
 
-    Where the given policy has a decision, it takes that. After giving up and in dead-ends the given
-    policy has decisions only if its problem counts quantities after failing; if it has none there,
-    an action is taken that surely avoids the goal, if there is one. ``default`` takes precedence
-    over actions that avoid the goal and over ``otherwise``.
+    Where the given policy has a decision, that decision is taken. Elsewhere the action is, in this
+    order:
+
+    - ``default``, where it has an action;
+    - after giving up and in dead-ends, ``afterwards``;
+    - ``otherwise``.
+
+    If the problem counts quantities after failing, the given policy has decisions also after giving
+    up and in dead-ends.
 
     Args:
         policy: any policy, or a lottery.
@@ -543,8 +581,8 @@ def acting_everywhere(
             without memory; None: no default.
         otherwise: pairs to take where the policy has no decision, [states]; None: the first pair of
             each state. ``Solution.policy_everywhere`` chooses better pairs.
-        afterwards: pairs to take after giving up and in dead-ends, [states]; None: pairs that avoid
-            the goal.
+        afterwards: pairs to take after giving up and in dead-ends, [states]; None: pairs that
+            surely avoid the goal, where there are any.
 
     Raises:
         ModelError: an unknown state or action, or a default that is a policy of another model.
@@ -569,7 +607,10 @@ def acting_everywhere(
     planned = first if otherwise is None else np.where(otherwise >= 0, otherwise, first)
 
     def preferring(decision: IntArray) -> IntArray:
-        """Replace decisions by the default where there is one, [states]."""
+        """Return the pair to take in each state without a decision of the given policy, [states].
+
+        It is the default's pair, else the pair in ``decision``, else the planned one.
+        """
         return np.where(preferred >= 0, preferred, np.where(decision >= 0, decision, planned))
 
     later = np.full(model.n_states, UNDECIDED) if afterwards is None else afterwards
@@ -584,7 +625,7 @@ def acting_everywhere(
 
 @explained
 def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """Translate a policy on a product to a policy on the original model, which keeps the memory.
+    """Translate a policy on a product to the original model; the policy then keeps the memory.
 
     Args:
         policy: policy on a product, such as that of a solution on ``product(model, memory)``.

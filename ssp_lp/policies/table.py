@@ -27,7 +27,7 @@ class PolicyRow(NamedTuple):
 
 
 class Decisions(NamedTuple):
-    """Decisions of a policy in several situations, one entry for each."""
+    """Decisions of a policy in several situations (state, memory), one entry for each."""
 
     state: IntArray  # [decisions]
     memory: IntArray  # [decisions] values of the policy's memory
@@ -48,16 +48,18 @@ class Member(NamedTuple):
 class PolicyTable(Report, Sequence[PolicyRow]):
     """The decisions of a policy, in the order of members, memories and states.
 
-    It is a sequence of :class:`PolicyRow`. States in which the policy never acts have no row.
-    Memories are written as
+    It is a sequence of :class:`PolicyRow`. States in which the policy never acts have no row. The
+    memory of a row is
 
-    - the cost paid so far (cost-aware policies, policies on cost levels), or "tail k" once the
-      cost has reached the policy's cap: from there it follows its stationary policy k;
-    - the time step, or (time step, memory of the stage) (timed policies);
-    - the product's memory, or (product's memory, memory of the inner policy);
-    - "before failing", "giving up" and "after failing", alone or with the inner memory;
-    - "over" and "elsewhere" in a policy that acts everywhere: after the end of the policy that it
-      extends, or in an episode that begins where that policy cannot begin;
+    - for cost-aware policies and policies on cost levels, the cost paid so far, or "tail k" once
+      the cost has reached the policy's cap: from then on the stationary policy k is followed;
+    - for timed policies, the time step, or (time step, memory of the stage);
+    - for policies on a product, the product's memory, or (product's memory, memory of the inner
+      policy);
+    - for policies that act after failing, "before failing", "giving up" or "after failing", alone
+      or with the inner memory;
+    - for policies that act everywhere, "over" after the end of the policy that is extended, and
+      "elsewhere" in an episode that begins where that policy cannot begin;
     - a tuple, if several of these are remembered together.
 
     Example:
@@ -78,11 +80,10 @@ class PolicyTable(Report, Sequence[PolicyRow]):
 
     @cached_property
     def _rows(self) -> list[PolicyRow]:
-        """All rows of the policy's table."""
         return [row for k in range(len(self.members)) for row in self._member_rows(k)]
 
     def _member_rows(self, member: int) -> Iterator[PolicyRow]:
-        """Yield the rows of a member's decisions, made on demand."""
+        """Yield the rows of a member of the lottery, each made when it is requested."""
         model, part = self.model, self.members[member]
         for block in part.decisions():
             for state, code, pair, share in zip(*(b.tolist() for b in block), strict=True):
@@ -90,7 +91,6 @@ class PolicyTable(Report, Sequence[PolicyRow]):
                 yield PolicyRow(model.states[state], part.words.get(code), action, share, member)
 
     def __len__(self) -> int:
-        """Return the number of decisions."""
         return len(self._rows)
 
     @overload
@@ -102,7 +102,7 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         return self._rows[index]
 
     def tables(self) -> list[Table]:
-        """Return a table of the first rows for each of the first members, with its weight."""
+        """Return a table for each of the first members, with the member's weight and first rows."""
         several = len(self.members) > 1
         tables = [self._member_table(k, several) for k in range(min(len(self.members), _MEMBERS))]
         if several:
@@ -132,7 +132,7 @@ class PolicyTable(Report, Sequence[PolicyRow]):
         return str(self)
 
     def _member_table(self, member: int, titled: bool) -> Table:
-        """Return the table of a member's first rows, with a note on the number of others."""
+        """Return the table of a member's first rows; a note counts the rows that are not shown."""
         part = self.members[member]
         count = sum(len(block.pair) for block in part.decisions())
         remembers = any(memory is not None for memory in part.words.values())
@@ -153,6 +153,6 @@ class PolicyTable(Report, Sequence[PolicyRow]):
 
 
 def _in_table(value: Hashable) -> str:
-    """Return a state, a memory or an action as text: a whole number without decimals."""
+    """Return a state, memory or action as text; a whole number has no decimals."""
     whole = isinstance(value, float) and value.is_integer()
     return f"{value:g}" if whole else str(value)

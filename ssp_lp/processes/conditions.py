@@ -1,9 +1,9 @@
 """Checked constraints on a model, and their rows in a program.
 
-Every row is ``<coefficients, x> <= bound`` with coefficients >= 0, so that price times coefficient
-is a non-negative cost for every price. A lower bound on a probability is stated as an upper bound
-on its complement. Visits and costs are unbounded and have no complement, so they cannot be bounded
-from below.
+Every row is ``<coefficients, x> <= bound`` with coefficients >= 0, so that it adds a non-negative
+cost at every price >= 0. A lower bound on a probability is stated as an upper bound on its
+complement. Visits and costs are unbounded and have no complement, so they cannot be bounded from
+below.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ RESERVED = {
 
 @dataclass(frozen=True, eq=False)
 class StepTerm:
-    """A quantity that adds up a cost of each step; the cost is that of a copy of the model."""
+    """A total of step costs: the own cost of ``model``, a copy of the model with other costs."""
 
     model: SSP
     through: bool = False  # also costs after failing
@@ -48,18 +48,18 @@ class StepTerm:
         return costless_pairs(self.model)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Return the expected cost of each process pair, [pairs], and of the start.
+        """Return the expected cost of each process pair, [pairs], and a cost of the start.
 
-        The second number is the cost of episodes that begin, and end, in a dead-end.
+        The cost of the start is due to episodes that begin in a dead-end and end there.
         """
         return counting.cost(self.model)
 
 
 @dataclass(frozen=True, eq=False)
 class ArrivalTerm:
-    """A quantity that counts arrivals in a set of states, a start there included.
+    """A number of arrivals in a set of states; an episode that begins there has arrived once.
 
-    If ``others``, it counts instead the episodes that end outside the set.
+    If ``others``, the term is the number of episodes that end outside the set instead.
     """
 
     model: SSP
@@ -70,18 +70,19 @@ class ArrivalTerm:
 
     @property
     def free(self) -> BoolArray:
-        """Mask of the pairs that never arrive in the states, [pairs].
+        """Mask of the pairs by which a policy may stay for ever without an arrival, [pairs].
 
-        If episodes end in all of them, staying for ever never arrives: the mask has all pairs.
+        These are the pairs that cannot lead into the set; if episodes end in all states of the set,
+        all pairs.
         """
         if self.final:
             return np.ones(self.model.n_pairs, dtype=np.bool_)
         return ~pairs_into(self.model, self.states)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Return the probability that each process pair arrives in the states, [pairs].
+        """Return the probability that each process pair arrives in the set, [pairs].
 
-        The second number is the probability that an episode begins, and ends, in one of them.
+        The second result is the probability that an episode begins in the set and ends there.
         """
         if self.others:
             return counting.other_endings(self.states)
@@ -93,7 +94,7 @@ Term = StepTerm | ArrivalTerm
 
 @dataclass(frozen=True, eq=False)
 class UpperRow:
-    """A row ``<coefficients, x> <= bound``: a sum of terms with weights > 0 and a constant >= 0."""
+    """A row ``<coefficients, x> <= bound`` with terms of weights > 0 and a constant >= 0."""
 
     name: str
     told: str  # description of the limited quantity
@@ -107,10 +108,10 @@ class UpperRow:
 
     @property
     def by_digits(self) -> UpperRow:
-        """The more accurate of two forms of the row: with or without complements.
+        """The row itself or, if its bound has few digits, the equivalent row without complements.
 
-        Complements keep every coefficient >= 0. Without them the bound has more digits if it is
-        small, but coefficients may be negative where an episode ends.
+        A lower bound of a small probability is an upper bound near 1 of its complement, and loses
+        digits. Without the complement the bound keeps its digits, but coefficients may be negative.
         """
         direct = self.direct
         is_small = direct is not None and abs(direct.bound) < RARE_GOAL * abs(self.bound)
@@ -118,9 +119,10 @@ class UpperRow:
 
     @property
     def size(self) -> float:
-        """Magnitude that the feasibility tolerance of the row is relative to.
+        """Magnitude of the row, to which its feasibility tolerance is relative.
 
-        It is the bound or, if terms of both signs cancel, the magnitude of the terms.
+        It is the absolute value of the bound or, if terms of both signs cancel, the magnitude of
+        the terms if this is greater.
         """
         gains = [weight for weight, _ in self.terms] + [self.offset]
         lost = -sum(gain for gain in gains if gain < 0.0)
@@ -139,9 +141,9 @@ class UpperRow:
         return self.offset + self.sign * value
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Return the coefficient of each process pair, [pairs], and of the start.
+        """Return the coefficient of each process pair, [pairs], and an amount for the start.
 
-        The second number counts the episodes that end where they begin.
+        The amount is due to episodes that end where they begin.
         """
         row, source = np.zeros(len(counting.goal)), 0.0
         if self.constant > 0.0:
@@ -155,7 +157,7 @@ class UpperRow:
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """A constraint on a model, with its names of states, labels and costs looked up there."""
+    """A constraint whose names of states, labels and costs have been looked up in a model."""
 
     name: str
     model: SSP
@@ -168,7 +170,8 @@ class Condition:
     def wants_ends(self) -> bool:
         """Whether the constraint counts ends other than the goal.
 
-        Then a policy that can no longer reach the goal has not failed until it arrives at an end.
+        If so, a policy that can no longer reach the goal goes on until an end, and fails only
+        there.
         """
         goal = self.model.goal_mask
         return any(

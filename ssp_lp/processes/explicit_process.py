@@ -6,8 +6,10 @@ one state:
 
 - All states of a free end component have the same value (mathematics, section 4). A value function
   on the contraction therefore proves the same bound as one on the process.
-- A policy on the contraction is a policy on the process that first moves to the chosen pair.
-- Rounding cannot make a policy improve around a free cycle, because the contraction has none.
+- A policy on the contraction chooses one pair for a whole component. On the process it first moves,
+  at no cost, to the state of this pair.
+- Policy iteration on the process could go round in a free cycle because of rounding. The
+  contraction has no such cycles.
 
 A contraction removes only pairs that stay in a component. No policy may stay there for ever.
 """
@@ -111,7 +113,7 @@ def reachable_part(process: ExplicitProcess, start: FloatArray) -> ReachablePart
 class Contraction:
     """A process in which each free end component is merged to one node.
 
-    Its pairs are those of the process that lie in no free end component, sorted by node.
+    The pairs inside these components are removed. The other pairs are sorted by node.
     """
 
     dynamics: Dynamics  # of the nodes
@@ -128,12 +130,13 @@ class Contraction:
     def begun(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
         """Translate a policy of the process to one of the contraction, [nodes].
 
-        Both end every run. Each node takes the pair of the member from which the policy needs the
-        fewest steps to end a run. This pair leads out of the node.
+        Each node takes the policy's pair in the member from which this policy needs the fewest
+        steps to end a run. Under both policies every run ends.
 
         Args:
             process: the process.
-            choice: a policy of the process that ends every run: the pair of each state, [states].
+            choice: a policy of the process by which every run ends: the pair of each state,
+                [states].
         """
         taken, distance = np.zeros(process.n_pairs, dtype=np.bool_), np.zeros_like(choice, np.int32)
         taken[choice] = True
@@ -169,15 +172,15 @@ def bound_of(
 ) -> DualBound:
     """Return checked lower bounds of the least expected total cost from each state.
 
-    Given values are lowered until no backup decreases them, on the contraction if there is one.
+    The given values are lowered until a Bellman backup confirms that they are lower bounds.
 
     Args:
         process: the process.
-        smaller: the contraction of end components that are free at the cost, or None.
+        smaller: the contraction of end components of cost 0; None: there are none.
         pair_cost: [pairs].
         values: near-optimal values, [states].
         floor: a constant known to be a lower bound in every state.
-        choice: a policy of about these values that ends every run, [states], or None.
+        choice: a policy with about these values, by which every run ends, [states]; None: unknown.
     """
     # the least constant is optimal if the cheapest way to end costs the same everywhere;
     # lowering other values to it would take many steps
@@ -190,7 +193,7 @@ def bound_of(
 
 
 def least_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
-    """Return the greatest constant that a backup shows to be a lower bound of the cost.
+    """Return a constant that is a lower bound of the cost from every state.
 
     It is the greatest v with ``exit_u v <= c_u`` for every pair u, where ``exit_u`` is the mass
     that ends. It is at least 0 if no cost is negative, and -inf if a pair that ends no mass has a
@@ -198,7 +201,7 @@ def least_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
 
     Args:
         process: the process.
-        pair_cost: [pairs].
+        pair_cost: c, [pairs].
     """
     exits = process.dynamics.exits
     leaves = exits > 0.0
@@ -258,9 +261,9 @@ class PricedMinimum:
     excess: FloatArray  # [pairs] reduced costs
 
     def without_noise(self, visits: FloatArray) -> FloatArray:
-        """Return the visits, [pairs], with small visits of suboptimal pairs set to 0.
+        """Return visits, [pairs], in which small visits of suboptimal pairs are replaced by 0.
 
-        They are noise of interior-point solvers, which give small visits to every pair.
+        Interior-point solvers give such visits to every pair.
         """
         scale = 1.0 + abs(self.bound)
         noise = (self.excess > _NOT_BEST * scale) & (visits < _LITTLE)
@@ -270,7 +273,8 @@ class PricedMinimum:
 def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMinimum:
     """Minimise a cost over all policies of an explicit process.
 
-    Free end components are contracted first, because rounding could lead to policies that stay.
+    Free end components are contracted first, because rounding could make policies stay there for
+    ever.
 
     Args:
         process: the process.

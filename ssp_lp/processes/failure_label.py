@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import goal_pairs, pairs_into, surely_reaching
+from ssp_lp.model.graph import pairs_into, surely_reaching
 from ssp_lp.policies.policy import DeterministicPolicy
 from ssp_lp.processes.conditions import UpperRow
 from ssp_lp.processes.explicit_process import ExplicitProcess
@@ -56,26 +56,26 @@ class FailureLabelled:
         return DeterministicPolicy(self.quotient.model, decision)
 
     def nearer_goal(self, *, safely: bool = False) -> IntArray | None:
-        """Return a pair of each state that may come nearer to the goal, [states]; -1: none.
+        """Return a pair of each state on a shortest way to the goal, [states]; -1: no way.
 
         The result is None if components of the model are merged in the process: then the search
         must run on the process itself (see ``Quotient.nearer``).
 
         Args:
-            safely: whether to prefer pairs that cannot lead to a dead-end.
+            safely: whether to prefer ways whose pairs cannot lead to a dead-end.
         """
         model = self.quotient.model
-        nearer = self.quotient.nearer(goal_pairs(model))
+        nearer = self.quotient.nearer_goal()
         if safely and nearer is not None:
             safe = ~pairs_into(model, self.quotient.dead)
-            guarded = self.quotient.nearer(goal_pairs(model) & safe, safe)
+            guarded = self.quotient.nearer_goal(safe)
             nearer = nearer if guarded is None else np.where(guarded >= 0, guarded, nearer)
         return None if nearer is None else self._with_source(nearer)
 
     def placed(self, decision: IntArray) -> IntArray | None:
         """Translate a policy of the model to a policy of the process, [states].
 
-        The result is None if this is impossible: the process merges components, or it lacks a pair.
+        The result is None if the process merges components, or lacks a pair of the policy.
 
         Args:
             decision: pair of the model, negative for none, [model states].
@@ -86,7 +86,7 @@ class FailureLabelled:
         return None if (choice < 0).any() else self._with_source(choice).astype(np.int32)
 
     def _with_source(self, choice: IntArray) -> IntArray:
-        """Return the choice, extended by the only pair of the source state if there is one."""
+        """Append the only pair of the source state to a choice, if the process has a source."""
         if self.process.n_states == len(choice):
             return choice
         return np.append(choice, self.process.n_pairs - 1)
@@ -111,11 +111,11 @@ def label_failure(
             only pairs from which the goal stays sure are kept.
         discount: factor of every transition; the mass that is lost in a non-goal state counts as
             failure (paper, section 3.5). None: no discount.
-        usable: pairs that may be used, [pairs]; None: all. If given, a policy may neither give up
-            nor stay for ever in a free end component: this is the second stage of a least-failure
-            problem (mathematics, section 4).
+        usable: pairs that may be used, [pairs], in the second stage of a least-failure problem
+            (mathematics, section 4): a policy may then neither give up nor stay for ever in a free
+            end component. None: all pairs, without these restrictions.
         side: further limits.
-        objective: a quantity minimised instead of the aim of the semantics.
+        objective: a quantity that is minimised instead of the aim of the semantics.
         quotient: the live part of the model, with the pairs that give up; None: built here.
     """
     if quotient is None:
@@ -160,10 +160,10 @@ def counting_of(
     semantics: FailureSemantics,
     discount: float | None = None,
 ) -> Counting:
-    """Return the object that gives the coefficients of further quantities on the process.
+    """Return the object that computes the coefficients of quantities on a process of case M.
 
     Args:
-        labelled: the process. Its collapsed components must add nothing to any quantity.
+        labelled: the process. Pairs inside its merged components must add nothing to any quantity.
         start: distribution over states, [states].
         semantics: semantics of the process.
         discount: discount of the process.
@@ -189,8 +189,7 @@ def with_start(
         cost: cost of the pair of the source.
     """
     model, live_start = quotient.model, quotient.gather(start)
-    at_goal = float(start[model.goal_mask].sum())
-    at_dead = float(start[quotient.dead].sum())
+    at_goal, at_dead = (float(start[ends].sum()) for ends in (model.goal_mask, quotient.dead))
     if at_goal + at_dead == 0.0:
         return replace(process, start=live_start)
     n = quotient.n_nodes

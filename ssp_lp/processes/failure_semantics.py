@@ -41,7 +41,7 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_pairs, attention_states, goal_pairs, hopeless_states
+from ssp_lp.model.graph import attention_pairs, attention_states, hopeless_states, pairs_into
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.processes.live_rows import cost_means, costless_pairs, successor_means
 from ssp_lp.processes.quotient import Quotient
@@ -55,8 +55,8 @@ class GiveUp(enum.StrEnum):
     """States in which a policy of case M may give up (mathematics, section 2).
 
     - ``ANYWHERE``: in every state, as in the linear program of Trevizan et al. (2017).
-    - ``ATTENTION``: only where the goal can surely be avoided, as the paper's stopping time of
-      section 2.4.
+    - ``ATTENTION``: only in attention states, from which the goal can surely be avoided (paper,
+      section 2.4).
     - ``DEAD_ENDS``: nowhere; a run pays until it enters a dead-end, as in Storm.
     """
 
@@ -104,13 +104,13 @@ class FailureSemantics:
 
     @property
     def risk(self) -> CostQuantileOf | TailMeanOf | None:
-        """The measure of risk, which needs a search; None: one program is enough."""
+        """The measure of risk: a quantile or a tail mean, which needs several programs; or None."""
         if self.measure is None or self.measure.is_expectation:
             return None
         return cast("CostQuantileOf | TailMeanOf", self.measure)
 
     def worth_of(self, law: CostLaw) -> float:
-        """Return the measure, or the mean, of a distribution of the costs of successful runs."""
+        """Return the measure, or without one the mean, of a law of the costs of successful runs."""
         return law.conditional_mean if self.measure is None else self.measure.of(law)
 
     @property
@@ -124,7 +124,7 @@ class FailureSemantics:
         return self.measure is not None and self.measure.maximised
 
     def charge(self, ratio: bool) -> Charge | None:
-        """Return the charge of the total cost at the goal; None: no accumulated cost (case M)."""
+        """Return the charge of total costs at the goal; None in case M, except with a measure."""
         if self.measure is not None:
             return self.measure.charge
         return TOTAL_COST if ratio else None
@@ -133,7 +133,7 @@ class FailureSemantics:
     def sense(self) -> ObjectiveSense:
         """Relation between the minimised value and the stated objective.
 
-        It does not apply if a quantity is the objective.
+        It is meaningless if a quantity is the objective.
         """
         if self.aim is Aim.GREATEST_GOAL:
             return ObjectiveSense(0.0)
@@ -164,9 +164,9 @@ class ObjectiveSense:
         return value - self.offset if self.constant is None else self.constant - value
 
     def worth_of_bound(self, bound: float) -> float:
-        """Return the bound of the stated objective that belongs to a bound of the minimised value.
+        """Return the bound of the stated objective that a bound of the minimised value implies.
 
-        If it is a difference, it is rounded outwards.
+        If rounding affects it, it is rounded down for a minimum and up for a maximum.
         """
         worth = self.worth(bound)
         if self.constant is None:
@@ -174,12 +174,12 @@ class ObjectiveSense:
         return worth if self.constant - worth == bound else float(np.nextafter(worth, np.inf))
 
     def settled_bound(self, value: float, bound: float, paid: float = 0.0) -> float:
-        """Return the bound, or the value if the two differ only by rounding.
+        """Return the bound, or the value if the two differ by rounding only.
 
         Args:
             value: minimised value of a lottery.
             bound: lower bound of the minimised value of every lottery.
-            paid: sum over the rows of price times bound, whose rounding affects a dual bound.
+            paid: sum of price times bound over the rows, whose rounding affects a bound by duals.
         """
         taken = abs(self.offset if self.constant is None else self.constant)
         taken = max(taken, paid) if taken > 0.0 else 0.0  # 0 if the objective is not a difference
@@ -208,12 +208,13 @@ def dead_end_charges(
 ) -> FloatArray:
     """Return the charge of entering each dead-end, [states].
 
-    With ``charge_failing_step`` it is the least expected cost of an action there, paid once. It is
-    0 for dead-ends without actions and for other states.
+    With ``charge_failing_step`` it is the least expected cost of an action of the dead-end. It is 0
+    for dead-ends without actions and for other states.
 
     Args:
+        model: the model.
         dead: dead-ends, [states].
-        semantics: whether they are charged.
+        semantics: whether failing is charged.
         costs: expected stage costs, [pairs]; None: computed here.
     """
     if not semantics.charge_failing_step:
@@ -228,7 +229,7 @@ def give_up_charges(
     semantics: FailureSemantics,
     costs: FloatArray | None = None,
 ) -> FloatArray:
-    """Return the charge of giving up in each state, [states]; infinite if not allowed.
+    """Return the charge of giving up in each state, [states]; infinite where this is not allowed.
 
     Args:
         model: the model.
@@ -259,8 +260,8 @@ def giving_up_states(model: SSP, give_up: GiveUp, usable: BoolArray | None = Non
     Args:
         model: the model.
         give_up: where a policy may give up.
-        usable: pairs that attain the least failure, [pairs]. If given, only these may be used, and
-            giving up is allowed only in states without a usable pair.
+        usable: pairs that attain the least failure, [pairs]. If given, a policy may take only these
+            pairs, and may give up only in states without such a pair.
     """
     if (label := model.failure_label) is not None:
         usable = np.zeros(model.n_pairs, dtype=np.bool_) if usable is None else usable
@@ -321,7 +322,10 @@ class GoalShare(float):
 
 
 def demanded_goal(budget: float) -> float:
-    """Return the goal probability that a budget demands, exactly if it is a ``GoalShare``."""
+    """Return the goal probability that a failure budget demands: 1 - budget.
+
+    The result is exact if the budget is a ``GoalShare``.
+    """
     return budget.demanded if isinstance(budget, GoalShare) else 1.0 - budget
 
 
@@ -404,21 +408,23 @@ def free_pairs(
 ) -> BoolArray:
     """Return a mask of the pairs that add nothing to the objective and the limits, [pairs].
 
-    A policy may fail at no cost by staying for ever in an end component of these pairs. The cost of
-    the model counts only if it is the objective or limited.
+    A policy may fail at no cost by staying for ever in an end component of these pairs. A pair of
+    positive cost may be among them if the model's cost is neither the objective nor limited.
 
     Args:
         model: the model.
         aim: the objective, unless ``objective`` is given.
         side: the limits.
-        objective: a quantity minimised instead of the aim.
+        objective: a quantity that is minimised instead of the aim.
     """
     if objective is not None:
         free = objective.free
     elif aim is Aim.GREATEST_GOAL:
         free = np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component has a risk
     else:
-        free = ~goal_pairs(model) if aim is Aim.LEAST_GOAL else costless_pairs(model)
+        free = (
+            ~pairs_into(model, model.goal_mask) if aim is Aim.LEAST_GOAL else costless_pairs(model)
+        )
     for row in side:
         free = free & row.free
     return free
@@ -431,8 +437,8 @@ _DUST = 8.0 * MACHINE_EPSILON  # rounding error of a difference, relative to the
 class Counting:
     """Coefficients of costs, arrivals and ends on a process.
 
-    Every method returns a coefficient for each pair, [pairs], and a number for the start: the
-    amount due to episodes that begin on a goal or dead-end (``failure_label.with_start``).
+    Every method returns a coefficient for each pair, [pairs], and an amount for the start, due to
+    episodes that begin on a goal or dead-end and end there (``failure_label.with_start``).
     """
 
     quotient: Quotient
@@ -446,7 +452,7 @@ class Counting:
     def cost(self, model: SSP) -> tuple[FloatArray, float]:
         """Return the expected secondary cost of each pair, [pairs], and of the start.
 
-        It includes charges of failing in the same way as the model's own cost does.
+        Charges of failing are included, as in the model's own cost.
 
         Args:
             model: the model with the secondary cost as its cost.
@@ -455,9 +461,9 @@ class Counting:
         return cost / self.departs, float(self.start @ entering)
 
     def arrivals(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Return the probability that each pair enters some states, [pairs], and the start's share.
+        """Return the probability that each pair enters some states, [pairs], and that of the start.
 
-        Entering them after failing does not count.
+        Arrivals after failing do not count.
         """
         into = self.quotient.at_pairs(successor_means(self.quotient.model, states))
         ended = states & (self.quotient.node_of < 0)
@@ -468,7 +474,7 @@ class Counting:
         return self.goal + self.failure, float(self.start[self.quotient.node_of < 0].sum())
 
     def other_endings(self, states: BoolArray) -> tuple[FloatArray, float]:
-        """Return the mass that ends outside some end states, [pairs], and at the start."""
+        """Return the mass that ends outside given states: of pairs, [pairs], and of the start."""
         if (states == self.quotient.model.goal_mask).all():
             return self.failure, float(self.start[self.quotient.dead].sum())
         (every, at_once), (into, there) = self.endings(), self.arrivals(states)

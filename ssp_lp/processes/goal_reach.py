@@ -14,9 +14,11 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, expected, read_only
-from ssp_lp.compiled.deadline import check_time
+from ssp_lp.compiled.accelerator import accelerated, with_twin
+from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.equations import System
+from ssp_lp.dynamic_programming.evaluation import EVALUATED
 from ssp_lp.dynamic_programming.extreme_reach import ExtremeReach, attaining_pairs, extreme_reach
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP, graph
@@ -48,8 +50,8 @@ class GoalReach:
     def least_failure(self, start: FloatArray) -> float:
         """Return a certified lower bound of every policy's failure probability.
 
-        This applies to the greatest goal probability only. The bound allows for the rounding of the
-        sum over the start states and of the difference.
+        The object must have the greatest goal probabilities. The bound includes the rounding errors
+        of its computation.
 
         Args:
             start: distribution over states, [states].
@@ -58,7 +60,7 @@ class GoalReach:
 
     @cached_property
     def usable(self) -> BoolArray:
-        """Mask of the pairs that attain the greatest, or least, goal probability, [model pairs]."""
+        """Mask of the pairs that attain the optimal goal probability, [model pairs]."""
         if self.solved is None:
             return self.surely
         quotient, reach = self.solved
@@ -69,9 +71,10 @@ class GoalReach:
 
 @dataclass(frozen=True, eq=False)
 class ReachPolicy:
-    """A stationary policy, with its cost and goal probability from each state.
+    """A stationary policy, with its cost and its goal probability from each state.
 
-    It usually has the greatest or the least goal probability (or E[survival^T; goal]).
+    The goal probability, or E[survival^T; goal], is usually the greatest or the least one; a policy
+    of ``goal_directed`` is an exception.
     """
 
     decision: IntArray  # [states]
@@ -97,6 +100,9 @@ def greatest_goal_reach(
             policy and a bound.
     """
     exact, setting = survival == 1.0, (survival, start, last_digits)
+    one_pass = _reach_in_order(model, start) if exact and not last_digits else None
+    if one_pass is not None:
+        return one_pass
     if exact:
         sure, keeping, nearer = graph.surely_reaching(model)
         decision = np.where(nearer < 0, UNDECIDED, nearer)
@@ -120,10 +126,39 @@ def greatest_goal_reach(
     return replace(reach, decision=np.where(inside, nearer, reach.decision))
 
 
+@with_twin
+def _reach_in_order(model: SSP, start: FloatArray | None) -> GoalReach | None:
+    """Compute the greatest goal probabilities in one pass, if each step leads to a later state.
+
+    This holds in products with a count of steps. The result is None in other models, if the loop is
+    not worth compiling, and if rounding may exceed ``EVALUATED`` at a start state.
+    """
+    if model.failure_label is not None or start is None:
+        return None
+    if not accelerated(model.n_outcomes, "policy_improvement.reach_in_order"):
+        return None
+    from ssp_lp.compiled.policy_improvement import reach_in_order
+
+    n, graph = model.n_states, (model.pair_offsets, model.outcome_offsets, model.successors)
+    decision, values = np.empty(n, dtype=np.int32), np.empty((n, 4))
+    arrays = *graph, model.probabilities, model.goal_mask, MACHINE_EPSILON
+    for some in pieces(n, model.n_outcomes):
+        if not reach_in_order(*arrays, some.start, some.stop, decision, values):
+            return None
+    hit, miss, most, least = values.T
+    goal = np.where(miss < hit, 1.0 - miss, hit)
+    bound = np.clip(np.minimum(most, 1.0 + 2.0 * MACHINE_EPSILON - least), goal, 1.0)
+    if (((bound - goal) > EVALUATED * goal) & (start > 0.0)).any():
+        return None
+    surely = np.zeros(model.n_pairs, dtype=np.bool_)
+    surely[decision[decision >= 0]] = True
+    return GoalReach(goal, bound, decision, surely)
+
+
 def greatest_goal_from(model: SSP, start: FloatArray) -> float:
     """Return the greatest goal probability from a start distribution, [states].
 
-    It is also accurate if failure is rare.
+    The result keeps its digits if failure is rare.
 
     Raises:
         Stop: the time limit was reached before it was computed.
@@ -180,13 +215,13 @@ def _extreme_reach(
     *,
     greatest: bool,
 ) -> GoalReach:
-    """Compute the greatest or least E[survival^T; hit] from every live state.
+    """Compute the greatest or the least E[survival^T; hit] from every live state.
 
-    T is the number of steps until a run ends; it hits if it ends in one of ``hit_states``.
+    T is the number of steps of a run, and ``hit`` the event that it ends in one of ``hit_states``.
 
     Args:
         quotient: the live states.
-        hit_states: end states that count, [states].
+        hit_states: the end states that count, [states].
         surely: pairs that attain the optimum by the graph alone, [model pairs].
         survival: the discount, or 1.
         start: only the results from states with positive entries are needed, [states]; None: from
@@ -215,11 +250,12 @@ def _extreme_reach(
 
 
 def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
-    """Return the policy of least E[cost; goal] among those of a given goal probability.
+    """Return the policy of least E[cost; goal] among those with a given goal probability.
 
-    A transition of cost g to x' is charged g * reach(x'), which counts the cost of successful runs
-    only. The second stage is therefore an ordinary problem without accumulated cost (paper, S3P;
-    mathematics, section 4). Free end components are collapsed: a policy must leave them.
+    A transition of cost g to x' is charged g * reach(x'), where reach(x') is the goal probability
+    from x'. This counts the cost of successful runs only, and the minimisation is an ordinary
+    problem without accumulated cost (paper, S3P; mathematics, section 4). Free end components are
+    merged, since a policy must leave them.
 
     Args:
         model: the model.
@@ -276,8 +312,8 @@ def _failing_to_reach(
 def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     """Return a policy each of whose steps comes nearer to the goal with positive probability.
 
-    Distance is in number of steps. The policy reaches the goal with positive probability wherever
-    that is possible. It is found and evaluated without optimisation, and its cost bound is 0.
+    Distance is the least number of steps. The policy reaches the goal with positive probability
+    wherever this is possible. Nothing is optimised, so the bound of its cost is 0.
     """
     decision, _ = graph.goal_approach(model)
     live = (decision >= 0).nonzero()[0]

@@ -114,7 +114,7 @@ _NOWHERE = np.zeros(0, dtype=np.int32)
 
 @dataclass(frozen=True, eq=False)
 class RowChoice:
-    """The pairs of a model that are the rows of a transition matrix, and the columns of it."""
+    """The pairs of a model that are rows of a transition matrix, and the nodes that are columns."""
 
     model: SSP
     node_of: IntArray  # [states] int32 node, -1 where the process ends
@@ -139,8 +139,8 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
 
     If ``rows.home`` is given, each row is conditioned on departing from its node: the self-loop is
     removed, and all other entries are divided by the probability of departing. This probability is
-    summed over the outcomes that depart, because 1 - p would lose digits if p is near 1. A row that
-    never departs is not changed.
+    a sum over the outcomes that depart, because 1 - (probability of the self-loop) would lose
+    digits. A row that never departs is not changed.
 
     Args:
         rows: the pairs and the nodes.
@@ -157,7 +157,7 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
 
 @with_twin
 def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
-    """Return the matrix of ``live_rows``, in which rows of equal numbers share their storage.
+    """Return the matrix of ``live_rows``; if many rows have equal numbers, these are stored once.
 
     Args:
         rows: the pairs and the nodes.
@@ -254,7 +254,7 @@ def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
 
 
 def _row_array(given: IntArray | None) -> IntArray:
-    """Return an array, or an empty one in place of None, which compiled loops do not accept."""
+    """Return an array; an empty one for None, which compiled loops do not accept."""
     return _NOWHERE if given is None else given
 
 

@@ -42,16 +42,18 @@ def labelled_past_failing(
     Args:
         model: the model.
         limits: the limited quantities.
-        objective: a quantity minimised instead of the cost.
+        objective: a quantity that is minimised instead of the cost.
         semantics: where a policy may give up, and the cost of failing.
         ratio: whether the objective is a cost given success.
-        discount: the discount, or None, which requires a check for infinite totals.
+        discount: the discount; None: no discount, so that infinite totals must be ruled out.
     """
     limits_and_objective = (*limits, *(() if objective is None else (objective,)))
     terms = [term for condition in limits_and_objective for _, term in condition.terms]
+    if semantics.forbids_failing or not terms:
+        return None
     ends, targets = _ends_past_failing(model, terms)
     pays = any(isinstance(term, StepTerm) and term.through for term in terms)
-    if semantics.forbids_failing or not (targets.any() or pays):
+    if not (targets.any() or pays):
         return None
 
     # with accumulated cost, as in case S, a policy may give up at attention states
@@ -89,7 +91,7 @@ def labelled_past_failing(
 def check_counted_past_failing(
     model: SSP, asked: Condition, semantics: FailureSemantics, *, ratio: bool
 ) -> None:
-    """Check that a process can count a quantity, also its events after failing.
+    """Check that a process contains all events that a quantity counts, also those after failing.
 
     Args:
         model: the model of the process, perhaps a product with the failure label.
@@ -98,7 +100,7 @@ def check_counted_past_failing(
         ratio: whether the objective is a cost given success.
 
     Raises:
-        ModelError: the quantity counts events after failing that the process does not contain.
+        ModelError: the process does not contain some event after failing.
     """
     # finiteness does not matter here: the discount skips that check
     needed = labelled_past_failing(asked.model, (), asked, semantics, ratio=ratio, discount=1.0)
@@ -118,10 +120,10 @@ def check_counted_past_failing(
 
 
 def _ends_past_failing(model: SSP, terms: Iterable[Term]) -> tuple[BoolArray, BoolArray]:
-    """Return a mask of the dead-ends that terms count as ends, and a mask of all later targets.
+    """Return masks of the dead-ends that terms count as ends, and of all states that they count.
 
-    Later targets are these dead-ends and the states whose visits are counted through failure. Both
-    masks have the shape [states].
+    The second mask adds the states whose visits count through failure. Both have the shape
+    [states].
     """
     ends, targets = np.zeros((2, model.n_states), dtype=np.bool_)
     for term in terms:
@@ -152,8 +154,8 @@ def _costs_until_failing(label: FailureSSP, costs: FloatArray, charges: bool) ->
 def past_failing_term(label: FailureSSP, term: Term) -> Term:
     """Translate a term from a model to its product with the failure label.
 
-    Ends are the true ends, also after failing. Costs and visits count until failing, or to the true
-    end if they have ``through_failure``.
+    Ends are the true ends, also after failing. Costs and visits count until failing; with
+    ``through_failure`` they count to the true end.
     """
     if isinstance(term, StepTerm):
         costs = term.model.costs

@@ -3,8 +3,9 @@
 For example, ``within(fuel, 10) >= 0.95`` means: with probability 0.95 the run reaches the goal and
 uses at most 10 units. The model is extended by the total so far (one value stands for all totals
 beyond the bound), or by the automaton of the task (:mod:`ssp_lp.model.tracked_product`). If there
-are too many totals, amounts are rounded to multiples of a unit. Rounded up, every feasible policy
-satisfies the limit exactly. Rounded down, the optimum is a bound for all policies.
+are too many totals, amounts are rounded to multiples of a unit. If they are rounded up, every
+policy that satisfies the rounded limit satisfies the stated limit. If they are rounded down, the
+optimum bounds the objective of every policy that satisfies the stated limit.
 """
 
 from __future__ import annotations
@@ -46,9 +47,8 @@ class _Total(Followed):
         """Return the automaton that follows the total of a run.
 
         Its values are the possible totals up to the bound, and one for all totals beyond it. With
-        ``passes`` there are two values beyond the bound: exceeded by the last step, and exceeded
-        before. If there are too many totals, the amounts are rounded to multiples of a fraction of
-        the bound.
+        ``passes``, the value just after the bound is crossed differs from all later ones. If there
+        are too many totals, amounts are rounded to multiples of a fraction of the bound.
 
         Raises:
             ModelError: an unknown name, or a quantity that is not a total of costs and visits.
@@ -72,7 +72,6 @@ class _Total(Followed):
         letter, over = np.searchsorted(steps, used), totals.size
 
         def value_of(total: FloatArray) -> IntArray:
-            """Return the index of the automaton's value for each total, by shape of ``total``."""
             nearest = np.searchsorted(totals, total - room)
             return np.where(total > bound + room, over, nearest)
 
@@ -93,10 +92,10 @@ class _Total(Followed):
         return replace(self, rounds_down=True)
 
     def is_safe(self, constraint: Constraint, is_stated: bool) -> bool:
-        """Return whether rounding amounts up makes a limit stricter, never weaker.
+        """Return whether a limit becomes stricter, never weaker, if amounts are rounded up.
 
-        Then every policy that satisfies the rounded limit satisfies the stated one. It is False if
-        the event occurs in the objective, or in a limit that belongs to the criterion.
+        If so, every policy that satisfies the rounded limit satisfies the stated one. The result is
+        False if the event occurs in the objective, or in a limit that belongs to the criterion.
 
         Args:
             constraint: the limit, or the objective as a limit.
@@ -109,9 +108,9 @@ class _Total(Followed):
         return is_right and (is_stated or not rises)
 
     def term(self, product: TrackedSSP) -> ArrivalTerm:
-        """Return the term that counts the event on the product with the automaton.
+        """Return the term that counts the event on the product of the model with the automaton.
 
-        It counts arrivals at the goal within the bound or, if ``passes``, the step that exceeds the
+        It counts arrivals at the goal within the bound or, if ``passes``, steps that cross the
         bound.
         """
         value, over = product.labels.number, len(product.automaton.words) - 1 - self.passes
@@ -125,9 +124,11 @@ def _steps_and_totals(
 ) -> tuple[FloatArray, FloatArray | None, float]:
     """Return the distinct amounts, their possible totals, and the tolerance of equal totals.
 
+    The totals are None if there are too many.
+
     Args:
         used: amount of each outcome and of each start, [amounts].
-        bound: the totals are computed up to this bound; they are None if there are too many.
+        bound: the greatest total that is distinguished.
     """
     steps = np.unique(used)
     moves = np.union1d(0.0, steps)
@@ -179,7 +180,6 @@ class _Traces(Followed):
         return f"holds({self.task!r})"
 
     def automaton(self, model: SSP) -> Automaton:
-        """Return the automaton of the task."""
         return self.task.automaton(model)
 
     def term(self, product: TrackedSSP) -> ArrivalTerm:

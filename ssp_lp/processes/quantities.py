@@ -45,8 +45,8 @@ NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 class _StageCosts:
     """The expected total of a cost of steps.
 
-    The cost is the model's own (None), the name of another one, an array per pair or per outcome,
-    or nested dicts.
+    ``cost`` is None for the model's own cost, the name of another cost of the model, an array per
+    pair or per outcome, or nested dicts.
     """
 
     cost: NestedCosts | npt.ArrayLike | str | None = None
@@ -72,7 +72,7 @@ class _Visits:
 
 @dataclass(frozen=True, repr=False)
 class _Ends:
-    """The probability of ending in one of several ways or, if ``others``, in another way."""
+    """The probability that a run ends in one of ``ways``; if ``others``, in none of them."""
 
     ways: tuple[Hashable, ...]
     others: bool = False
@@ -85,7 +85,7 @@ class _Ends:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _ArrivalCosts:
-    """A charge at the goal: a function of the total cost that is affine from some total on."""
+    """A charge at the goal: a function of the total cost that is affine from ``affine_from`` on."""
 
     function: Callable[[FloatArray], FloatArray]
     affine_from: float
@@ -118,7 +118,7 @@ class Followed(ABC):
         return self
 
     def is_safe(self, constraint: Constraint, is_stated: bool) -> bool:
-        """Return whether every policy that satisfies the rounded limit satisfies the stated one.
+        """Return whether a limit is satisfied if it is satisfied with rounded amounts.
 
         Args:
             constraint: the limit, or the objective as a limit.
@@ -265,8 +265,8 @@ def secondary_cost(
     Args:
         cost: the name of a cost of the model, such as "fuel"; ``{state: {action: cost}}``, 0 for
             pairs that are not listed; or an array, [pairs] or [outcomes]; finite and >= 0.
-        through_failure: count to the true end of the run (mathematics, section 2): each step after
-            failing, without a charge of failing.
+        through_failure: also count the steps after failing, to the true end of the run
+            (mathematics, section 2); then no charge of failing is added.
     """
     return Quantity(((1.0, _StageCosts(cost, through_failure)),))
 
@@ -326,9 +326,9 @@ def arrival_cost(
     """Return the quantity "charge of the total cost at the goal", to minimise given success.
 
     As the ``quantity`` of your own criterion with ``ratio = True`` it means E[f(C) | goal], such as
-    the mean lateness ``arrival_cost(lambda c: np.maximum(c - due, 0.0), affine_from=due)``.
-    Several can be added and scaled. A function of the total cost of a run cannot be a row of a
-    program: it cannot be limited, nor added to other quantities.
+    the mean lateness ``arrival_cost(lambda c: np.maximum(c - due, 0.0), affine_from=due)``. Several
+    arrival costs can be added and scaled. They can neither be limited nor added to other
+    quantities, since a program has no row for a function of a run's total cost.
 
     Args:
         function: f, on arrays of total costs: non-negative, non-decreasing; None: the total cost.
@@ -387,7 +387,7 @@ class CostLimit:
 
 
 def constraints_of(limits: Mapping[str, CostLimit]) -> dict[str, Constraint]:
-    """Return limits of secondary costs as constraints on quantities.
+    """Convert limits of secondary costs to constraints on quantities, by name.
 
     Raises:
         ModelError: not a mapping of limits, or a bound that is not a finite number >= 0.
@@ -558,7 +558,7 @@ def words_visited(constraint: Constraint) -> list[Hashable]:
 
 
 def followed_by(constraints: Iterable[Constraint]) -> list[Followed]:
-    """Return the events of whole runs (:class:`Followed`) in constraints, each once."""
+    """Return the events of whole runs (:class:`Followed`) that constraints count, each once."""
     terms = (counted for each in constraints for _, counted in each.quantity.terms)
     return list(dict.fromkeys(counted for counted in terms if isinstance(counted, Followed)))
 
@@ -594,7 +594,7 @@ def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]
 
 
 def beyond_exploring(constraint: Constraint) -> str | None:
-    """Return the reason why a partly explored, implicit model cannot bound a quantity, or None."""
+    """Return why a partly explored, implicit model cannot bound a quantity; None: it can."""
     for _, counted in constraint.quantity.terms:
         match counted:
             case _StageCosts(_, True) | _Visits(_, True):
@@ -610,7 +610,7 @@ def beyond_exploring(constraint: Constraint) -> str | None:
 
 
 def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
-    """Return the expected charge that a sum of arrival costs stands for; None: it has none.
+    """Return the expected charge that a sum of arrival costs describes; None without such costs.
 
     Raises:
         ModelError: other quantities are added, or a weight is negative.
@@ -627,7 +627,6 @@ def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
     constant = quantity.constant
 
     def function(totals: FloatArray) -> FloatArray:
-        """Return the weighted sum of the charges of total costs, by shape of ``totals``."""
         charges = [weight * np.asarray(counted.function(totals)) for weight, counted in costs]
         return np.asarray(np.sum(charges, axis=0) + constant)
 
@@ -693,8 +692,8 @@ def _looked_up_states(model: SSP, words: tuple[Hashable, ...], *, final: bool = 
     Args:
         model: the model.
         words: states and labels of states.
-        final: whether the words name ways to end instead: "goal", labels of dead-ends, "dead_end",
-            or states at which episodes end.
+        final: whether the words name ways to end: "goal", labels of dead-ends, "dead_end", or
+            states at which episodes end.
     """
     marks, labels = end_marks(model), model.state_labels
     named: list[Hashable] = ["goal", *labels, "dead_end"]

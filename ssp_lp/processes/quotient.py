@@ -4,10 +4,10 @@ A node is one live state, or a maximal end component of pairs that cost nothing.
 component are free, so a process without a discount treats it as one state (mathematics, section 4).
 
 Visits of the quotient are mapped back to visits of the model's pairs. Flow may enter a component at
-one member and leave it at another, so moves between members must be added. From each member, flow
-goes to each exit member in proportion to the flow that leaves there, by a way of fewest steps. A
-policy that draws each pair in proportion to the resulting visits has exactly the visits of the
-process (paper, section 2.2).
+one member and leave it at another, so visits of moves between members are added. The flow that
+enters at a member is divided among all members in proportion to the flow that leaves there, and
+goes by ways of fewest steps. A policy that draws each pair in proportion to the resulting visits
+has exactly the visits of the process (paper, section 2.2).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
 class Quotient:
     """The nodes of a model and the pairs that leave them, sorted by node.
 
-    *Pairs* are those of the quotient, unless they are called model pairs.
+    *Pairs* are pairs of the quotient; pairs of the model are called model pairs.
     """
 
     model: SSP
@@ -95,7 +95,7 @@ class Quotient:
         return np.asarray(self.pair_at == GIVE_UP_CODE)
 
     def named(self, pair: int) -> tuple[Hashable, Hashable]:
-        """Return the state and action of a pair; giving up belongs to the node's first state."""
+        """Return the state and the action of a pair; for giving up, the first state of the node."""
         acting = int(self.pair_at[pair])
         if acting == GIVE_UP_CODE:
             return self.model.states[int(self.first_states[self.pair_node[pair]])], GIVE_UP
@@ -117,19 +117,18 @@ class Quotient:
         leaving, inside = live & gives_up[self.node_of], np.zeros_like(self.inside)
         return _quotient_with_pairs(self.model, self.dead, node_of, inside, none, kept, leaving)
 
-    def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
-        """Return a pair of each node on a shortest way to given pairs, [nodes]; -1: no way.
+    def nearer_goal(self, usable: BoolArray | None = None) -> IntArray | None:
+        """Return a pair of each node on a shortest way to the goal, [nodes]; -1: no way.
 
         The result is None if components are merged, since their members differ in distance.
 
         Args:
-            leaving: the pairs to reach, [model pairs].
             usable: pairs that may be taken, [model pairs]; None: all.
         """
         if self.merged.any():
             return None
-        kept = (self.places >= 0) & (True if usable is None else usable)
-        return self.placed(nearer_pairs(self.model, leaving, kept))
+        kept = self.places >= 0 if usable is None else (self.places >= 0) & usable
+        return self.placed(nearer_pairs(self.model, None, kept, ends=self.model.goal_mask))
 
     def placed(self, decision: IntArray) -> IntArray:
         """Translate decisions on states to pairs of the quotient, [nodes]; -1: no pair.
@@ -144,7 +143,7 @@ class Quotient:
 
     @cached_property
     def places(self) -> IntArray:
-        """Index in the quotient of each pair of the model, [model pairs]; -1: it is not there."""
+        """Index in the quotient of each pair of the model, [model pairs]; -1: no such pair."""
         place = np.full(self.model.n_pairs, -1, dtype=np.int32)
         acting = (self.pair_at >= 0).nonzero()[0]
         place[self.pair_at[acting]] = acting
@@ -173,7 +172,7 @@ class Quotient:
 
     @with_twin
     def positions(self, first: IntArray, choice: IntArray) -> IntArray:
-        """Translate choices in many layers to decisions on states.
+        """Translate choices of pairs, by node, to decisions on states, in many layers.
 
         Args:
             first: the pair of each node that has position 0, [nodes].
@@ -193,20 +192,32 @@ class Quotient:
             return places
         live, several = (self.node_of >= 0).nonzero()[0], max(CHUNK // max(len(offsets), 1), 1)
         nodes, own, last = self.node_of[live], self.pair_offsets[:-1], self.pair_offsets[1:] - 1
-        # the moves of a node's members depend on its pair alone
-        most = int(np.diff(self.pair_offsets).max(initial=1))
-        pairs = np.stack([self.pull_back(np.minimum(own + k, last)) for k in range(most)])
-        table = np.where(pairs < 0, pairs, pairs - offsets)[:, live].astype(places.dtype)
-        for begin in range(0, len(choice), several):
-            taken = (first + choice[begin : begin + several])[:, nodes] - own[nodes]
-            places[begin : begin + several, live] = table[taken, np.arange(len(live))]
+        shift, most = first - own, int(np.diff(self.pair_offsets).max(initial=1))
+        parts = [slice(begin, begin + several) for begin in range(0, len(choice), several)]
+        seen, table = np.zeros(most, np.bool_), np.empty((most, len(live)), places.dtype)
+        for some in parts:
+            seen[choice[some] + shift] = True
+        for k in seen.nonzero()[0].tolist():
+            if k not in self._moves:  # they depend on the nodes' pairs alone
+                pairs = self.pull_back(np.minimum(own + k, last))[live]
+                own_pairs = np.where(pairs < 0, pairs, pairs - offsets[live])
+                self._moves[k] = own_pairs.astype(places.dtype)
+            table[k] = self._moves[k]
+        for some in parts:
+            taken = choice[some][:, nodes] + shift[nodes]
+            places[some, live] = table[taken, np.arange(len(live))]
         return places
+
+    @cached_property
+    def _moves(self) -> dict[int, IntArray]:
+        """Cache: by k, the positions of the live states if each node takes its pair k, [live]."""
+        return {}
 
     def pull_back(self, choice: IntArray) -> IntArray:
         """Translate one chosen pair per node to decisions on states.
 
-        In a collapsed component one member takes the chosen pair; the others move to that member at
-        no cost.
+        In a merged component one member takes the chosen pair; the other members move to its state
+        at no cost.
 
         Args:
             choice: chosen pair of each node, [nodes].
@@ -265,7 +276,8 @@ def build_quotient(
         component, inside = end_components(model, free & usable)
     merged = component >= 0
     leaving = np.zeros(model.n_states, dtype=np.bool_) if exits is None else exits & live
-    leaving = leaving | (merged if free_exits else merged & hopeless_states(model))
+    if merged.any():
+        leaving = leaving | (merged if free_exits else merged & hopeless_states(model))
     check_time()
     node_of = _numbered_nodes(live, component)
     return _quotient_with_pairs(model, dead, node_of, inside, merged, usable & ~inside, leaving)
@@ -280,11 +292,9 @@ def _numbered_nodes(live: BoolArray, component: IntArray) -> IntArray:
         live: live states, [states].
         component: component of each state, negative for none, [states].
     """
-    group = np.where(component >= 0, component + live.size, np.arange(live.size))
-    first = np.arange(live.size)
-    members = (component >= 0).nonzero()[0]
+    first, members = np.arange(live.size), (component >= 0).nonzero()[0]
     if members.size:
-        _, begin, back = np.unique(group[members], return_index=True, return_inverse=True)
+        _, begin, back = np.unique(component[members], return_index=True, return_inverse=True)
         first[members] = members[begin[back]]
     heads = live & (first == np.arange(live.size))
     number = heads.cumsum(dtype=np.int32) - 1
@@ -317,14 +327,12 @@ def _quotient_with_pairs(
     if merged.any():
         order = np.argsort(pair_node, kind="stable")
         pairs, pair_node = pairs[order], pair_node[order]
-    gives_up = np.zeros(n_nodes, dtype=np.int32)
-    gives_up[node_of[leaving]] = 1
-    counts = np.bincount(pair_node, minlength=n_nodes) + gives_up
+    counts = np.bincount(pair_node, minlength=n_nodes)
+    if leaving.any():  # giving up is first in its node, so that it wins ties
+        nodes = (np.bincount(node_of[leaving], minlength=n_nodes) > 0).nonzero()[0]
+        pairs = np.insert(pairs, offsets_of(counts)[nodes], GIVE_UP_CODE)
+        counts[nodes] += 1
     offsets = offsets_of(counts).astype(np.int32)
-    pair_at = np.full(int(offsets[-1]), GIVE_UP_CODE, dtype=np.int32)
-    acting = np.ones(len(pair_at), dtype=np.bool_)
-    acting[offsets[:-1][gives_up > 0]] = False  # first in its node, so that it wins ties
-    pair_at[acting] = pairs
     return Quotient(
         model=model,
         dead=dead,
@@ -332,7 +340,7 @@ def _quotient_with_pairs(
         n_nodes=n_nodes,
         inside=inside,
         merged=merged,
-        pair_at=pair_at,
+        pair_at=pairs,
         pair_node=segment_ids(offsets),
         pair_offsets=offsets,
     )
@@ -340,12 +348,12 @@ def _quotient_with_pairs(
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """The quotient without merged components, and the map of its pairs to the merged quotient.
+    """The quotient in which no component is merged, with a map of its pairs to the merged quotient.
 
     Methods use the merged quotient and count departures from its nodes. Programs that a user sees
-    have the pairs of the unmerged quotient and count their visits. Pairs within a component have no
-    visits in the merged quotient. Staying in a component for ever is giving up, which is possible
-    in each of its states.
+    use the unmerged quotient and count visits of its pairs, also of pairs within a component. A
+    policy that stays in a component for ever gives up; in the unmerged quotient each state of the
+    component has a pair for giving up.
     """
 
     quotient: Quotient  # of the same live states, none merged
@@ -353,7 +361,7 @@ class Spread:
     departs: FloatArray  # [its pairs] probability of departing from the merged node
 
     def per_taking(self, per_departure: FloatArray) -> FloatArray:
-        """Return amounts per visit of each unmerged pair, [pairs], from amounts per departure.
+        """Convert amounts per departure to amounts per visit of each unmerged pair, [pairs].
 
         Args:
             per_departure: [merged pairs].
@@ -361,7 +369,7 @@ class Spread:
         return np.where(self.place >= 0, per_departure[self.place] * self.departs, 0.0)
 
     def departures(self, visits: FloatArray) -> FloatArray:
-        """Return departures by each merged pair, [merged pairs], from visits of unmerged pairs.
+        """Convert visits of unmerged pairs to departures by each merged pair, [merged pairs].
 
         Args:
             visits: [pairs].
@@ -376,12 +384,12 @@ class Spread:
 
 
 def spread_out(quotient: Quotient, departs: FloatArray) -> Spread | None:
-    """Return the quotient without merged components and with self-loops, with the map to it.
+    """Return the unmerged quotient, with self-loops, and the map of its pairs to the merged one.
 
     The result is None if no component is merged and no self-loop was removed.
 
     Args:
-        quotient: the quotient.
+        quotient: the merged quotient.
         departs: probability that each pair departs from its node, [pairs] (see ``live_rows``).
     """
     if not quotient.merged.any() and (departs == 1.0).all():
@@ -418,7 +426,7 @@ def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
 
     Args:
         quotient: the quotient.
-        visits: expected visits of each pair, with repetitions by self-loops, [pairs].
+        visits: expected visits of each pair, [pairs]; each repetition by a self-loop counts.
     """
     acting = quotient.pair_at >= 0
     pairs = np.zeros(quotient.model.n_pairs)
@@ -430,10 +438,10 @@ def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
 
 
 def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> ModelFlow:
-    """Return a flow of the model with the moves within components added.
+    """Return a flow of the model, completed by the moves within merged components.
 
-    The giving up of a component is shared among its members in proportion to the flow that enters
-    them.
+    A component's amount of giving up is shared among its members, in proportion to the flow that
+    enters each of them.
 
     Args:
         quotient: the quotient.
@@ -455,14 +463,14 @@ def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> 
 def _flow_of_moves(
     quotient: Quotient, members: IntArray, entering: FloatArray, leaving: FloatArray
 ) -> FloatArray:
-    """Return the expected visits of the pairs inside collapsed components, [model pairs].
+    """Return the expected visits of the pairs inside merged components, [model pairs].
 
-    They lead the flow from the members where it enters to those where it leaves. One pass handles
-    one exit member of every component, which is possible because components do not overlap.
+    They lead the flow from the members where it enters to the members where it leaves. Components
+    do not overlap, so one pass handles one exit member of every component.
 
     Args:
         quotient: the quotient.
-        members: states of collapsed components.
+        members: states of merged components.
         entering: flow that enters each member from outside, [members].
         leaving: flow that leaves each member to the outside, [members].
     """
@@ -500,7 +508,7 @@ def _flow_of_moves(
 def decisions(
     quotient: Quotient, flow: ModelFlow, otherwise: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return the decisions of a randomised policy, with weights, from a flow of the model.
+    """Return the decisions of the randomised policy that a flow of the model describes.
 
     Args:
         quotient: the quotient.
@@ -508,8 +516,8 @@ def decisions(
         otherwise: decision in states without flow: a pair of the model or a code, [states].
 
     Returns:
-        Three arrays, [decisions] each: the state; the pair or GIVE_UP_CODE; and the flow, which is
-        1 in states without flow.
+        Three arrays, [decisions] each: the state; the pair or GIVE_UP_CODE; and the weight, which
+        is the flow, or 1 in states without flow.
     """
     model = quotient.model
     taken, giving = np.flatnonzero(flow.pairs > 0.0), np.flatnonzero(flow.give_up > 0.0)

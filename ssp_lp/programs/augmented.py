@@ -44,7 +44,7 @@ class ColumnLabel(NamedTuple):
 
     @property
     def paid(self) -> str:
-        """The accumulated cost in words, such as " at cost 3"; empty in case M."""
+        """The accumulated cost as a phrase, such as " at cost 3"; empty in case M."""
         return "" if self.cost is None else f" at cost {self.cost:g}"
 
     def __str__(self) -> str:
@@ -71,9 +71,9 @@ class Augmented(ABC):
     """The process whose pairs are a program's columns, and the translation of its policies.
 
     The *live part* is the model without goals and dead-ends. In case S there is a copy of it for
-    each accumulated cost, in case M there is one copy. Pairs are numbered copy by copy, followed by
-    the pair of the source, where episodes that end at once begin. The process contains only the
-    pairs that some policy reaches.
+    each accumulated cost, in case M there is one copy. Pairs are numbered copy by copy. The last
+    pair is that of the source, a state in which episodes begin if some of them may end at once. The
+    process contains only the pairs that some policy reaches.
     """
 
     inner: FailureLabelled | OpenEnded  # the process in its compact form
@@ -89,7 +89,7 @@ class Augmented(ABC):
     @property
     @abstractmethod
     def live(self) -> FailureLabelled | AccumulatedCost:
-        """One copy of the live part."""
+        """One copy of the live part: the model without goals and dead-ends."""
 
     @property
     def copies(self) -> int:
@@ -129,17 +129,17 @@ class Augmented(ABC):
 
     @property
     def width(self) -> int:
-        """Number of pairs of one copy of the live part."""
+        """Number of pairs in each copy of the model without goals and dead-ends."""
         return len(self.quotient.pair_at)
 
     def in_all_copies(self, values: FloatArray) -> FloatArray:
-        """Return values of the process's pairs as values of all pairs of all copies.
+        """Extend values of the process's pairs to all pairs of all copies.
 
         Args:
             values: [process pairs].
 
         Returns:
-            Values, [copies * width + 1], 0 for pairs that no policy reaches; the source is last.
+            Values, [copies * width + 1]; 0 for pairs that no policy reaches; the source is last.
         """
         every = np.zeros(self.copies * self.width + 1)
         every[self.part.pairs] = values
@@ -156,15 +156,15 @@ class Augmented(ABC):
 
     @property
     def gives_up(self) -> BoolArray:
-        """Whether a policy gives up by a pair, [process pairs]."""
+        """Mask of the pairs by which a policy gives up, [process pairs]."""
         return self._of_copies(self.quotient.gives_up)
 
     def _of_copies(self, chosen: BoolArray) -> BoolArray:
-        """Return a mask of the process's pairs, [process pairs], from one of a copy, [width]."""
+        """Return a mask of the process's pairs, [process pairs], given one copy's mask, [width]."""
         return np.append(np.tile(chosen, self.copies), False)[self.part.pairs]
 
     def label(self, number: int) -> ColumnLabel:
-        """Return the label of a pair, numbered over all copies with the source's pair last."""
+        """Return the label of a pair, given its number among the pairs of all copies."""
         if number >= self.copies * self.width:
             return ColumnLabel(None, START, self.paid(0))
         copy, inner = divmod(number, self.width)
@@ -203,7 +203,7 @@ class Augmented(ABC):
         return self.inner.policy(choice)
 
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
-        """Return the policy on the model that draws each pair by its share of its state's visits.
+        """Return the policy on the model that draws pairs in proportion to their visits.
 
         Args:
             visits: expected visits, [process pairs].
@@ -221,7 +221,7 @@ class Augmented(ABC):
 
 @dataclass(frozen=True, eq=False)
 class LabelledModel(Augmented):
-    """The process of case M: its states are those of runs that have not failed yet."""
+    """The process of case M: its states are those of the model while a run has not failed."""
 
     inner: FailureLabelled
     discount: float | None
@@ -348,7 +348,8 @@ class LayeredModel(Augmented):
     def policy(self, choice: IntArray) -> CostAwarePolicy:
         """Translate a choice in the process to a policy of the model that remembers the cost.
 
-        At an accumulated cost that no run reaches, it acts as at the next smaller one.
+        At an accumulated cost that no run reaches, the policy acts as at the next smaller reached
+        cost.
 
         Args:
             choice: one pair of each state of the process, [process states].

@@ -48,10 +48,10 @@ _HOW = "a convex expression <= a concave one, or == between affine ones, such as
 
 
 class _ScaledExpression:
-    """An affine expression of the visits in case S, to be compared with bounds as stated.
+    """An affine expression of the visits in case S, which users compare with unscaled bounds.
 
     The variables of cvxpy are the visits times a variable ``scale``. ``scaled`` is the expression
-    in these variables; bounds are multiplied by ``scale`` automatically.
+    in these variables. A bound is multiplied by ``scale`` when the two are compared.
     """
 
     __array_ufunc__ = None  # numpy's numbers leave the operators to this class
@@ -111,7 +111,7 @@ class _ScaledExpression:
 
 
 class Conflict(dict[str, str]):
-    """Rows that cannot be satisfied together, by name, each with its bound in short."""
+    """Rows that cannot be satisfied together: for each name, the bound in short."""
 
     def __repr__(self) -> str:
         """Return a line for each row."""
@@ -177,7 +177,7 @@ class ConvexProgram:
     def visits(self, state: Hashable, action: Hashable | None = None) -> Any:
         """Return the expected visits of a state or action, over all copies, as a cvxpy expression.
 
-        In case S the result is scaled, and its bounds are scaled automatically.
+        In case S, compare the result with unscaled bounds: ``scale`` is applied automatically.
 
         Raises:
             ModelError: unknown state or action.
@@ -220,7 +220,8 @@ class ConvexProgram:
     ) -> OccupationMeasure:
         """Solve the program by cvxpy; if a row is violated, again at the tightest tolerances.
 
-        Bounds, start and costs that are given here remain until others are given.
+        Bounds, start and costs that are given here also apply to later calls, until they are given
+        again.
 
         Args:
             solver: a solver of cvxpy; None: cvxpy's choice.
@@ -274,8 +275,8 @@ class ConvexProgram:
     def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
         """Return the solver's answer as the measure of a policy, with the violations of rows.
 
-        Noise of the solver is removed from the visits. The noise level is the smallest one at which
-        the visits are those of a policy that satisfies the rows.
+        Visits up to a noise level are set to 0. The level is the smallest one at which the visits
+        are those of a policy that satisfies the rows.
 
         Args:
             began: time at which solving began, by ``time.perf_counter``.
@@ -314,11 +315,9 @@ class ConvexProgram:
     def _least_proved(self) -> float | None:
         """Return a lower bound by the duals of all rows, recomputed from the model.
 
-        The Lagrangian, which is the objective plus the rows at their prices, is a linear function
-        of the visits. It is minimised over all visits that satisfy flow balance. If the price of a
-        lower limit is too high by a solver's tolerance, endless cycles may become profitable, and
-        the minimum -inf. Then such prices and the ratio are lowered by the tolerance, and terms of
-        that size are left out.
+        The Lagrangian, which is the objective plus the rows at their prices, is minimised over all
+        visits that satisfy flow balance. If the minimum is -inf because a solver's price is
+        slightly too high, prices and ratio are lowered by the solver's tolerance.
 
         Returns:
             The bound; None if a row or the objective is not linear or has other variables than
@@ -353,10 +352,9 @@ class ConvexProgram:
         return None
 
     def _affine(self, expression: Any) -> FloatArray | None:
-        """Return the coefficients of an affine expression, [pairs + 2].
+        """Return the coefficients of ``x``, that of ``scale``, and the constant, [pairs + 2].
 
-        They are those of ``x``, that of ``scale``, and the constant. The result is None if the
-        expression is not affine or has other variables.
+        The result is None if the expression is not affine or has other variables.
         """
         variables, own = expression.variables(), {id(self.x), id(self.scale)}
         if not expression.is_affine() or not own.issuperset(map(id, variables)):
@@ -411,10 +409,10 @@ class ConvexProgram:
     def conflict(self, solver: str | None = None, **options: Any) -> Conflict:
         """Find rows, also added ones, that cannot be satisfied together; empty if there are none.
 
-        The set is irreducible: without any one of its rows the others can be satisfied. To find it,
-        each row is left out once, and put back if the remaining rows become feasible. (HiGHS's
-        irreducible subsets are not used: they split the flow balance into single rows, and do not
-        support nonlinear rows.)
+        The set is irreducible: if any one of its rows is removed, the other rows can be satisfied.
+        To find it, each row is left out once, and put back if the remaining rows become feasible.
+        (HiGHS's irreducible subsets are not used: they split the flow balance into single rows, and
+        do not support nonlinear rows.)
 
         Args:
             solver: a solver of cvxpy; None: cvxpy's choice.
@@ -441,7 +439,7 @@ class ConvexProgram:
         return Conflict({name: self._bound_in_short(self.constraints[name]) for name in names})
 
     def _bound_in_short(self, row: Any) -> str:
-        """Return a row's bound, such as "<= 3", or "as it is stated" if there are several."""
+        """Return a row's bound, such as "<= 3"; if it has several bounds, "as it is stated"."""
         if isinstance(row, Equality | Inequality):
             _, relation, bound = self._sides(row)
             if bound.value is not None and np.size(bound.value) == 1:
@@ -554,7 +552,7 @@ def _solve_stated(
         tight: whether to set the smallest tolerances that the solver supports, if these are known.
 
     Returns:
-        Whether there is an optimum; otherwise the constraints are infeasible.
+        True if there is an optimum, False if the constraints are infeasible.
 
     Raises:
         ModelError: a parameter has no value, or the solver does not have an option.

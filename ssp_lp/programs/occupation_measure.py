@@ -61,8 +61,8 @@ class OccupationMeasure:
     """Expected visits of every pair of the process, with the prices and the status of the solver.
 
     Up to rounding, they are the visits of the policy that the solver's answer describes. Objective,
-    activities and residual are recomputed from the visits and the program. The residual is the
-    largest violation of a row, which the solver's tolerance may allow.
+    activities (left sides of rows) and residual (largest violation of a row) are recomputed from
+    the visits and the program.
     """
 
     program: OccupationProgram
@@ -82,10 +82,10 @@ class OccupationMeasure:
     def rows(self) -> tuple[MeasuredRow, ...]:
         """Rows of the program with activity, price and dual, followed by rows that the user added.
 
-        In case S the price is a multiplier of the ratio: for every policy, ``cost + price * (spent
-        - bound)`` divided by the goal probability is at least c*. The dual is the improvement of c*
-        by one more unit of the bound: the price divided by the goal probability. With goal
-        probability 0 there is no c*, and no dual.
+        In case S the price is a multiplier of the ratio: for every policy, c* is at most ``cost +
+        price * (spent - bound)`` divided by the goal probability. The dual is the improvement of c*
+        per unit of the bound: the price divided by the goal probability. With goal probability 0
+        there are neither c* nor duals.
         """
         success = self._goal if self.program.ratio else 1.0
         stated = []
@@ -103,7 +103,7 @@ class OccupationMeasure:
 
     @cached_property
     def activity(self) -> Mapping[str, float]:
-        """Activity of each row, by name."""
+        """Activity (value of the left side) of each row, by name."""
         return ByName({row.name: row.spent for row in self.rows})
 
     @cached_property
@@ -142,14 +142,13 @@ class OccupationMeasure:
     def beyond(self) -> float:
         """Probability of reaching the goal from an accumulated cost above the program's cap.
 
-        The program charges such successes only the cap, which is too little. A greater ``cost_cap``
-        of the problem raises the cap.
+        The program underestimates the cost of these runs, as it charges them the cap only. If the
+        probability is not small, give the problem a greater ``cost_cap``.
         """
         augmented = self.program.augmented
         if augmented.copies == 1:
             return 0.0
-        ends = np.array([augmented.copies - 1, augmented.copies]) * augmented.width
-        last = slice(*np.searchsorted(augmented.part.pairs, ends))
+        last = augmented.part.pairs // augmented.width == augmented.copies - 1
         return float(self.program.process.goal[last] @ self.visits[last])
 
     @property
@@ -183,8 +182,8 @@ class OccupationMeasure:
         as often as the measure says (paper, section 2.2).
 
         Raises:
-            ModelError: case S, and from some accumulated cost the measure follows both of the
-                policies that are possible above the cap.
+            ModelError: case S, and the measure mixes, from one accumulated cost, the two policies
+                that are possible above the cap.
         """
         process = self.program.process
         return self.program.augmented.randomised_policy(
@@ -197,14 +196,13 @@ class OccupationMeasure:
         If the measure is a vertex of the program, there is at most one member more than there are
         rows that hold with equality; otherwise there may be more members.
 
-        If the measure is optimal, the lottery has its objective and its failure. The lottery's
-        secondary costs may be lower than the measure's. Its cost may be lower, too, if the measure
-        was found with another objective or other rows. There are two reasons: visits of endless
-        cycles belong to no policy that ends every run, and a member that can no longer reach the
-        goal has failed, and pays nothing more.
+        If the measure is optimal, the lottery has the same objective and failure. Its secondary
+        costs may be lower than those of the measure; so may its cost, if the measure was found with
+        another objective or other rows. There are two reasons: visits of endless cycles are left
+        out, and a policy that can no longer reach the goal has failed, and pays nothing more.
 
-        If the visits satisfy flow balance only within a solver's tolerance, noise is removed. The
-        noise level is the smallest one at which they are the visits of a policy.
+        If the visits satisfy flow balance only within a solver's tolerance, visits up to a noise
+        level are set to 0. The level is the smallest one at which they are the visits of a policy.
 
         Raises:
             SolverError: no policy that ends every run has such visits, or the lottery violates a
@@ -234,8 +232,8 @@ class OccupationMeasure:
         """Return a pandas ``DataFrame`` with a row for each column of the program.
 
         Columns of the frame: state, action, cost (accumulated before the action, in case S),
-        visits, and probability (share in the state's visits). If duals are known, also value (of
-        taking the action first) and advantage (its reduced cost).
+        visits, and probability (share in the state's visits). If duals are known, there are two
+        more: value (of taking the action first) and advantage (reduced cost).
 
         Raises:
             MissingDependencyError: pandas is not installed.
@@ -287,9 +285,9 @@ class OccupationMeasure:
 class StateValues:
     """Values of states: the least expected cost from a state, with each row charged at its price.
 
-    They are the duals of flow balance; ``values["depot"]`` is the value of a state. The mean over
-    the start distribution is c* plus the sum over the rows of price times bound. In case S, c*
-    times the goal probability is subtracted from the cost, so the mean is the sum alone.
+    They are the duals of flow balance; ``values["depot"]`` is the value of a state. The mean value
+    of the start is c* plus the sum of price times bound over the rows. In case S, c* times the goal
+    probability is subtracted from the cost, so the mean is this sum without c*.
     """
 
     program: OccupationProgram
@@ -345,8 +343,8 @@ def balanced_visits(
 ) -> FloatArray:
     """Return the visits of the policy that a solver's visits describe, [pairs].
 
-    In each state the policy draws a pair in proportion to the solver's visits. Those satisfy flow
-    balance only within the solver's tolerance; the result satisfies it up to rounding. Visits of
+    In each state the policy draws a pair in proportion to the solver's visits. The solver's visits
+    satisfy flow balance only within a tolerance, the result satisfies it up to rounding. Visits of
     endless cycles are left out, since the policy never enters them.
 
     Args:
@@ -381,7 +379,7 @@ def balanced_visits(
 
 
 def drawn_chain(process: ExplicitProcess, share: FloatArray) -> tuple[sp.csr_array, System]:
-    """Return the Markov chain of a randomised policy, with its draws as a matrix.
+    """Return the draws of a randomised policy as a matrix, and the policy's Markov chain.
 
     Args:
         process: the process.
@@ -417,13 +415,11 @@ def _decomposed(
 ) -> tuple[tuple[IntArray, ...], FloatArray, FloatArray]:
     """Decompose an occupation measure into deterministic policies and weights.
 
-    The measures of a process are a polytope whose vertices are the measures of deterministic
-    policies (Altman 1999; paper, section 2.2). Each step subtracts the measure of a policy that
-    takes only pairs with positive visits, with the greatest weight that leaves no visit negative.
-    So each step brings the visits of at least one pair to 0. If k more pairs than states have
-    positive visits, there are at most k + 1 members; at a vertex of a program, k is the number of
-    rows that hold with equality. Visits that remain at the end belong to endless cycles; they cost
-    nothing if the measure is optimal.
+    Each step subtracts the measure of a policy that takes only pairs with positive visits, with the
+    greatest weight that leaves no visit negative, so that the visits of at least one pair become 0
+    (Altman 1999; paper, section 2.2). If k more pairs than states have positive visits, there are
+    at most k + 1 policies; at a vertex of a program, k is the number of rows that hold with
+    equality. Visits that remain at the end belong to endless cycles.
 
     Args:
         process: the process.

@@ -82,7 +82,7 @@ class ProgramRow:
         return max(abs(self.bound), self.largest)
 
     def violation(self, activity: float) -> float:
-        """Return by how much an activity exceeds the bound, relative to it; 0 if it does not.
+        """Return the excess of an activity over the bound, relative to the bound; 0 if none.
 
         An excess within the rounding error of the largest coefficient does not count.
         """
@@ -131,7 +131,7 @@ def rows_program(
 
 @dataclass(frozen=True, eq=False)
 class _Reduction:
-    """A smaller program, which is solved in place of the stated one, and the mapping between them.
+    """A smaller program, which is solved in place of the stated program, and the map between them.
 
     In the smaller program, end components of cost 0 are merged and self-loops are removed.
     """
@@ -140,28 +140,28 @@ class _Reduction:
     spread: Spread
 
     def _by_copy(self, values: FloatArray, made: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Return values with a function applied to those of each copy; the source's is unchanged.
+        """Apply a function to the values of each copy, and keep the last value, the source's.
 
         Args:
             values: [copies * width + 1].
-            made: maps the values of one copy, [width], to new ones.
+            made: maps the values of one copy, [width], to new values.
         """
         copies = self.program.augmented.copies
         own = map(made, values[:-1].reshape(copies, -1))
         return np.concatenate([*own, values[-1:]])
 
     def row(self, stated: Augmented, coefficients: FloatArray) -> FloatArray:
-        """Translate coefficients, [pairs], to the pairs of the stated program, [stated pairs]."""
+        """Translate coefficients, [pairs], from the smaller program to the stated one."""
         taken = self.program.augmented.in_all_copies(coefficients)
         return self._by_copy(taken, self.spread.per_taking)[stated.part.pairs]
 
     def departures(self, stated: Augmented, visits: FloatArray) -> FloatArray:
-        """Translate visits of the stated program, [stated pairs], to the smaller one, [pairs]."""
+        """Translate visits, [stated pairs], from the stated program to the smaller one, [pairs]."""
         gone = self._by_copy(stated.in_all_copies(visits), self.spread.departures)
         return gone[self.program.augmented.part.pairs]
 
     def lifted(self, stated: OccupationProgram, measure: OccupationMeasure) -> OccupationMeasure:
-        """Translate a measure of the smaller program to the stated one.
+        """Translate a measure of the smaller program to the stated program.
 
         Visits of moves within merged components are added.
         """
@@ -189,7 +189,8 @@ class OccupationProgram(Report):
 
     Columns are the pairs of the process, including self-loops and steps of cost 0. The variable x
     is the expected number of times that each pair is taken. Case S has one more column, the
-    Charnes-Cooper scale t, by which the visits are multiplied so that the goal probability is 1.
+    Charnes-Cooper scale t: the columns are the visits times t, so that the goal probability becomes
+    1.
     """
 
     title: str  # the formulation
@@ -216,8 +217,8 @@ class OccupationProgram(Report):
     def bounded_by(self, bounds: Mapping[str, float], *, anew: bool = True) -> OccupationProgram:
         """Return the program with other bounds, by name of the row; see :meth:`row`.
 
-        The program is rebuilt where it depends on the bounds: the accumulated costs that are
-        distinguished, and the actions that attain the least failure.
+        Two parts depend on the bounds and are rebuilt: the accumulated costs that are
+        distinguished, and, with least failure, the actions that attain it.
 
         Args:
             bounds: bound of each row that changes, by name.
@@ -240,10 +241,7 @@ class OccupationProgram(Report):
 
     @explained
     def with_rows(self, changed: Callable[[ProgramRow], ProgramRow | None]) -> OccupationProgram:
-        """Return the program with each row replaced by the value of a function of it.
-
-        Rows for which the function returns None are removed.
-        """
+        """Return the program with each row replaced by ``changed(row)``; None removes the row."""
         inner = self.reduced and replace(
             self.reduced, program=self.reduced.program.with_rows(changed)
         )
@@ -252,8 +250,9 @@ class OccupationProgram(Report):
     def started(self, start: Hashable | Mapping[Hashable, float]) -> OccupationProgram:
         """Return the program from another start: a state, or a distribution.
 
-        The program is rebuilt where it depends on the start: the accumulated costs that are
-        distinguished, steps under a horizon, and the source of episodes that end where they begin.
+        Three parts depend on the start and are rebuilt: the accumulated costs that are
+        distinguished, the steps under a horizon, and the source of episodes that end where they
+        begin.
 
         Raises:
             ModelError: unknown states, or probabilities that are no distribution.
@@ -272,7 +271,8 @@ class OccupationProgram(Report):
     def spread_out(self) -> OccupationProgram:
         """Return the program with a column for each pair of the model, self-loops included.
 
-        The merged program remains as ``reduced``, and is the one that is solved.
+        The present program, in which components are merged, remains as ``reduced``: it is solved in
+        place of the result.
         """
         spread = spread_out(self.augmented.quotient, self.augmented.live.departs)
         if spread is None:
@@ -529,7 +529,7 @@ class OccupationProgram(Report):
 
         Args:
             prices: nonnegative prices by name; a row that is not named has price 0.
-            ratio: in case S the reward for reaching the goal; c* if the prices are optimal.
+            ratio: in case S the reward for reaching the goal, which is c* at optimal prices.
 
         Raises:
             ModelError: a price or the ratio is not a finite number.
@@ -551,7 +551,8 @@ class OccupationProgram(Report):
 
         For prices l >= 0 of the rows <q, x> <= b, every feasible measure satisfies ``<cost, x> >=
         <cost + l q, x> - l b``. The minimum of the right side over all x that satisfy flow balance
-        is a lower bound of the program. It bounds the problem if no column is missing.
+        is a lower bound of the program. The bound also holds for the problem if the program has all
+        its columns.
 
         Args:
             prices: prices of the rows, by name, >= 0.
@@ -566,16 +567,16 @@ class OccupationProgram(Report):
     def least_of_visits(
         self, cost: FloatArray, constant: float, ratio: float = 0.0
     ) -> tuple[PricedMinimum, float]:
-        """Minimise ``<cost, x> + constant`` over all visits x that satisfy flow balance.
+        """Minimise ``<cost, x> + constant``, in case S divided by ``<goal, x>``.
 
-        In case S this is divided by ``<goal, x>``. For a ratio c, ``<cost, x> + constant - c <goal,
-        x>`` is minimised. If the minimum is at least D <= 0, no ratio is below ``c + D / g``, where
-        g is the least goal probability within the rows.
+        All visits x that satisfy flow balance are allowed. In case S, ``<cost, x> + constant - c
+        <goal, x>`` is minimised for a given ratio c. If the minimum is at least D <= 0, no ratio is
+        below ``c + D / g``, where g is the least goal probability within the rows.
 
         Args:
             cost: [pairs].
             constant: added to the expected cost.
-            ratio: in case S a value near the optimum, at which Dinkelbach's iteration starts.
+            ratio: in case S a value c near the optimum, at which Dinkelbach's iteration starts.
 
         Returns:
             A best policy, and a proved lower bound of the minimum.
@@ -644,10 +645,10 @@ class OccupationProgram(Report):
         write_program(self.linear, Path(path), self._columns)
 
     def ranges(self) -> Mapping[str, tuple[float, float]]:
-        """Compute the range of each bound in which its price stays constant, by name.
+        """Compute the range of each bound in which the row's price stays constant, by name.
 
-        HiGHS computes the ranges at a vertex. If several prices of a row are optimal, the range is
-        that of one of them.
+        HiGHS computes the ranges at a vertex. If a row has several optimal prices, the range
+        belongs to one of them.
 
         Raises:
             ModelError: case S, in which prices change with every bound.

@@ -1,1 +1,1 @@
-"""Problems that are solved by solving several restated problems."""
+"""Solution of a problem by solving several restated problems."""

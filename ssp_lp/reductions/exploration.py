@@ -1,9 +1,10 @@
 """Exploration: a problem on an implicit model is solved on a sequence of growing explored parts.
 
 Each part is an ordinary model whose optimum is a bound of the whole model's optimum
-(:mod:`ssp_lp.model.implicit`). A round solves the part and expands the states in doubt. These are
-the unexpanded states that the lottery may reach, or that decide whether it may fail where it does.
-The rounds end when no state is in doubt.
+(:mod:`ssp_lp.model.implicit`). Its fringe is the set of states that were found but not expanded. A
+round solves the part and expands the fringe states in doubt: those that the lottery may reach, and
+those that decide whether the lottery may fail where it does. The rounds end when no state is in
+doubt.
 """
 
 from __future__ import annotations
@@ -94,7 +95,10 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
 
 
 def _begun(problem: Problem) -> Exploration:
-    """Start exploring a problem's implicit model from the start and the states that limits name."""
+    """Return the exploration of a problem's implicit model after its first expansions.
+
+    It begins at the start and at the states that limits name.
+    """
     whole, start = cast("ImplicitSSP", problem.model), problem.start
     begin = [*start] if isinstance(start, Mapping) else [start]
     named = [word for word in _words_of(problem) if word not in whole.labels]
@@ -114,9 +118,9 @@ def _answered(
 ) -> tuple[Solution, IntArray]:
     """Solve a problem on an explored part; return the solution and the states in doubt.
 
-    With least failure (no budget) and limits, the part may be infeasible: its policies of least
-    failure violate a limit. Then the problem is solved without limits, to find the unexpanded
-    states on which the least failure depends.
+    If failure must be least (no budget) and there are limits, the part may be infeasible, because
+    its policies of least failure violate a limit. Then the problem is solved without limits, to
+    find the unexpanded states on which the least failure depends.
 
     Raises:
         ModelError: a limit counts quantities after failing.
@@ -143,7 +147,10 @@ def _answered(
 
 
 def _even_at_best(error: InfeasibleError) -> InfeasibleError:
-    """Restate the error of an infeasible part for the whole model, which is infeasible, too."""
+    """Return the error of the whole model, given that of an infeasible explored part.
+
+    The whole model is infeasible too, since the part assumes the best that its bounds allow.
+    """
     return InfeasibleError(
         f"infeasible even if unexplored states attain their bounds: {error}",
         failure_budget=error.failure_budget,
@@ -155,7 +162,7 @@ def _even_at_best(error: InfeasibleError) -> InfeasibleError:
 
 
 def _unmet(part: ExploredSSP, problem: Problem) -> str:
-    """Return a note on states and labels in a problem's limits that were not found; "": none."""
+    """Return a note on states and labels that limits name but that were not found, or ""."""
     unmet = [
         repr(word)
         for word in _words_of(problem)
@@ -169,7 +176,7 @@ def _unmet(part: ExploredSSP, problem: Problem) -> str:
 
 
 def _bound_in_words(solution: Solution) -> str:
-    """Return the bound that a round proves for the objective of every policy, in words."""
+    """Return in words the bound that a round proves, of the optimum or of the least failure."""
     if solution.problem.failure_budget is None:
         least = solution.least_failure_bound
         return "" if least is None else f", no policy fails less than {least:.9g}"
@@ -179,7 +186,10 @@ def _bound_in_words(solution: Solution) -> str:
 
 
 def states_in_doubt(solution: Solution) -> IntArray:
-    """Return the fringe states that a solution may reach, or that decide where it may fail.
+    """Return the indices of the fringe states on which a solution depends.
+
+    These are the fringe states that the lottery may reach, and those that decide whether a state
+    where it fails is one in which failing is allowed.
 
     Args:
         solution: solution of a problem on an explored part.
@@ -209,7 +219,7 @@ def states_in_doubt(solution: Solution) -> IntArray:
 
 
 def _reached(part: ExploredSSP, pairs: IntArray, begin: IntArray) -> BoolArray:
-    """Return a mask of the states that are reached if only the given pairs are taken, [states].
+    """Return a mask of the states that can be reached by given pairs alone, [states].
 
     Args:
         part: the explored part.
@@ -222,18 +232,19 @@ def _reached(part: ExploredSSP, pairs: IntArray, begin: IntArray) -> BoolArray:
 
 
 def _settled(part: ExploredSSP, *, charged: bool) -> tuple[BoolArray, BoolArray]:
-    """Return pairs that avoid the goal, and states that may give up whatever the fringe is.
+    """Return pairs that may avoid the goal, and states that may surely give up.
 
-    Pairs avoid the goal if the states of the fringe may be attention states, as in the part. A
-    state may certainly give up if it is an attention state even when no state of the fringe is
-    one, and if its charge for giving up is the same in both cases.
+    Two cases are compared: every fringe state is an attention state, as in the part, or none is. A
+    pair may avoid the goal if all its successors are attention states in the first case. A state
+    may surely give up if it is an attention state even in the second case, and if its charge for
+    giving up is the same in both.
 
     Args:
         part: the explored part.
         charged: whether giving up is charged.
 
     Returns:
-        A mask of the pairs, [pairs], and of the states, [states].
+        A mask of the pairs, [pairs], and a mask of the states, [states].
     """
     open_pairs, left = np.ones(part.n_pairs, dtype=np.bool_), np.diff(part.pair_offsets)
     idle, beyond = left == 0, part.goal_mask | part.fringe
@@ -284,7 +295,7 @@ def _check_bounds(solution: Solution) -> None:
 
 
 def _within(lottery: MixedPolicy) -> MixedPolicy:
-    """Return a lottery with the decisions in states of the fringe removed."""
+    """Return a lottery whose deterministic members have no decisions in fringe states."""
     members = list[Policy]()
     for member in lottery.policies:
         if isinstance(member, DeterministicPolicy):

@@ -1,10 +1,11 @@
 """Robust optima: a problem over boxes of probabilities, restated at the worst probabilities.
 
-A policy is improved against nature, which chooses the worst probabilities in the boxes for it
-(policy iteration of Hoffman and Karp, Management Science 12, 1966; Iyengar, Mathematics of
-Operations Research 30, 2005). At the optimum one choice of probabilities is the worst for all
-policies. The problem at these probabilities is an ordinary one. Its certified bound also holds for
-the robust optimum, since the worst case over the boxes is at least as bad as one point in them.
+A policy is improved against nature, which chooses the worst probabilities in the boxes for this
+policy (policy iteration of Hoffman and Karp, Management Science 12, 1966; Iyengar, Mathematics of
+Operations Research 30, 2005). At the optimum one choice of probabilities is the worst for the
+optimal policy, and no policy does better at this choice. The problem at these probabilities is an
+ordinary one. Its certified bound also holds for the robust optimum, since a policy's worst case
+over the boxes is at least as bad as its value at one point of the boxes.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ def robust(problem: Any, solve: Callable[..., Solution], time_limit: float | Non
 
 
 def at_probabilities(problem: Any, probabilities: FloatArray) -> Any:
-    """Return a problem on its model with other probabilities, [outcomes]."""
+    """Return the problem on its model with other ``probabilities``, [outcomes]."""
     chosen = read_only(probabilities)
     model = replace(problem.model, probabilities=chosen, counts=None, parameters={})
     return problem.with_arguments(model=model)
@@ -133,12 +134,12 @@ def at_probabilities(problem: Any, probabilities: FloatArray) -> Any:
 def solved_at(
     problem: Any, boxes: Boxes, worst: FloatArray, solve: Callable[[Any], Solution]
 ) -> Solution:
-    """Solve a problem at nature's probabilities; its bound also holds for the whole boxes.
+    """Solve a problem at nature's probabilities, with a bound that holds over the whole boxes.
 
-    Where nature's probability of an outcome is 0, further states may be dead-ends or attention
-    states, in which failing costs too little. In that case the problem is also solved at nearby
-    probabilities, at which every outcome that the boxes allow is possible, and the solution with
-    the greater bound is returned.
+    Where nature gives an outcome probability 0, more states may be dead-ends or attention states
+    than the boxes allow, and failing in them costs too little. In that case the problem is also
+    solved at nearby probabilities, at which every outcome that the boxes allow is possible, and the
+    solution with the greater bound is returned.
 
     Args:
         problem: the problem without ``box``.
@@ -163,13 +164,13 @@ def solved_at(
 
 
 def completed(policy: Policy, decision: IntArray, ends: IntArray) -> IntArray:
-    """Return a policy's decisions, completed so that they also hold for the boxes, [states].
+    """Return a policy's decisions, some of them replaced to be allowed over the boxes, [states].
 
     Args:
         policy: deterministic policy on the model at nature's probabilities. It gives up, or has no
             decision, in states that are attention states or dead-ends at these probabilities only.
-        decision: decision that is taken in such a state, [states], unless the state has a free
-            action that avoids the goal.
+        decision: the replacement in such a state, [states]; but if the state has a free action that
+            avoids the goal, this action is taken.
         ends: the decisions of :func:`ending`, which say where the boxes allow giving up, [states].
     """
     own, model = cast("DeterministicPolicy", policy).decision, policy.model
@@ -183,10 +184,10 @@ def completed(policy: Policy, decision: IntArray, ends: IntArray) -> IntArray:
 def settled(
     boxes: Boxes, semantics: FailureSemantics, *, safest: bool = False
 ) -> tuple[FloatArray, IntArray, FloatArray, int]:
-    """Find the decisions of least worst loss over the boxes, by policy iteration.
+    """Return the least worst loss of each state over the boxes, and decisions that attain it.
 
-    A decision is changed only for a strict gain. So every policy of the iteration surely ends, as
-    the first one does, and cycles of cost 0 are never entered.
+    Computed by policy iteration. A decision is changed only for a strict gain, so that every policy
+    of the iteration surely ends, as the first one does, and cycles of cost 0 are never entered.
 
     Args:
         boxes: the boxes.
@@ -195,9 +196,9 @@ def settled(
 
     Returns:
         Four results. The least worst loss of each state, [states]: cost plus penalty, or the
-        failure probability; infinite if failing is forbidden and cannot be avoided, or if nature
-        can prevent every policy from ending. The robust decisions, [states]. Nature's
-        probabilities, [outcomes]. The number of rounds.
+        failure probability; it is infinite if failing is forbidden and cannot be avoided, or if
+        nature can prevent every policy from ending. The decisions that attain it, [states].
+        Nature's worst probabilities, [outcomes]. The number of rounds.
     """
     model, only_failing = boxes.support, safest or semantics.aim is Aim.GREATEST_GOAL
     acting = ~(model.goal_mask | dead_ends(model))
@@ -236,15 +237,15 @@ def settled(
 def worst_loss(
     boxes: Boxes, decision: IntArray, acting: BoolArray, loss: FloatArray, ends: FloatArray | None
 ) -> FloatArray:
-    """Return the worst loss over the boxes of a policy that surely ends, from each state, [states].
+    """Return the worst loss over the boxes from each state, [states], of a policy that surely ends.
 
     Args:
         boxes: the boxes.
         decision: decisions of the policy, [states].
         acting: mask of the states from which the policy is followed, [states].
-        loss: losses that are kept where the policy does not get to, [states].
-        ends: loss at each end, [states], to which costs are added; None: the loss is the
-            probability of failing.
+        loss: losses that are returned for states that the policy does not reach, [states].
+        ends: loss in each state in which a run may end, [states], to which the costs paid before
+            are added; None: the loss is the probability of failing.
     """
     loss = np.array(loss, dtype=np.float64)
     if acting.any():
@@ -257,14 +258,27 @@ def worst_loss(
 
 
 def worst_means(boxes: Boxes, worth: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return nature's probabilities of greatest mean worth, [outcomes], and the means, [pairs]."""
+    """Return the greatest mean of given values over each pair's box, and where it is attained.
+
+    Args:
+        boxes: the boxes.
+        worth: value of each outcome, [outcomes].
+
+    Returns:
+        Nature's probabilities, [outcomes], and the means, [pairs].
+    """
     offsets = boxes.model.outcome_offsets
     worst = greatest_mean(boxes.low, boxes.high, worth, offsets)
     return worst, segment_sums(worst * worth, offsets)
 
 
 def check_ends(model: SSP, kept: BoolArray) -> None:
-    """Raise :class:`ModelError` if nature can prevent a run from ending: in ``kept``, [states]."""
+    """Raise :class:`ModelError` if ``kept`` is not empty.
+
+    Args:
+        model: the model.
+        kept: mask of the states in which nature can keep a run for ever, [states].
+    """
     if kept.any():
         raise ModelError(
             f"state {model.states[int(np.argmax(kept))]!r}: the boxes allow probabilities with "
@@ -278,16 +292,17 @@ def ending(
 ) -> tuple[IntArray, FloatArray, IntArray, BoolArray]:
     """Return a policy that surely ends, whatever nature does, and gives up wherever it may.
 
-    From some states, called lost here, nature can prevent every policy from ending, at infinite
-    cost.
+    A state is called lost here if nature can prevent every policy from ending from this state. Not
+    ending costs infinitely much.
 
     Returns:
-        Four arrays. The decisions, [states]. The worst charges of giving up in a state, or of
-        entering a dead-end, [states]. The round in which a state was found to be lost, 0 if it is
-        not, [states]. A mask of the pairs that never lead to a lost state, [pairs].
+        Four arrays. The decisions, [states]. The greatest charge over the boxes for giving up in a
+        state, or for entering it if it is a dead-end, [states]. The round in which a state was
+        found to be lost, 0 if it is not, [states]. A mask of the pairs that never lead to a lost
+        state, [pairs].
 
     Raises:
-        ModelError: nature can prevent every policy from ending, but at a cost of 0.
+        ModelError: some outcome in a lost state costs 0, so that not ending might cost nothing.
     """
     model = boxes.support
     acting = ~(model.goal_mask | dead_ends(model))
@@ -304,20 +319,20 @@ def ending(
 
 
 def _losing(boxes: Boxes, ends: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
-    """Return the states from which nature can prevent every policy from surely ending.
+    """Find the lost states: there nature can prevent every policy from surely ending.
 
     In each round a state is kept if one of its pairs has, whatever nature does, a positive
-    probability of leading to an end or to a state that is kept already. The other states are lost,
-    and pairs that may lead to a lost state are removed before the next round.
+    probability of leading to an end or to a state that is already kept in this round. The other
+    states are lost, and pairs that may lead to them are removed before the next round.
 
     Args:
         boxes: the boxes.
-        ends: states in which a run ends, such as the goals, [states].
+        ends: mask of the states in which a run ends, such as the goals, [states].
 
     Returns:
-        Three arrays. The round in which each state is lost, 0 if never, [states]. Decisions by
-        which the other states surely reach an end, [states]. A mask of the pairs that never lead
-        to a lost state, [pairs].
+        Three arrays. The round in which each state was lost, 0 if never, [states]. Decisions by
+        which the other states surely reach an end, [states]. A mask of the pairs that never lead to
+        a lost state, [pairs].
     """
     model = boxes.support
     offsets, successors = model.outcome_offsets, model.successors

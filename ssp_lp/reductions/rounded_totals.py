@@ -20,7 +20,7 @@ from ssp_lp.solution import Solution
 
 
 def rounded_down(problem: Problem) -> Problem | None:
-    """Return a problem that rounds amounts up with these rounded down; None: it rounds none."""
+    """Return the problem with amounts rounded down instead of up; None if it rounds none."""
     rounded = rounded_in(problem.tracked.model)
     if not rounded:
         return None

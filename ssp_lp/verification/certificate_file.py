@@ -2,7 +2,8 @@
 
 ``certificate_lines.py``, with ``expand.py`` and ``prove.py``, checks a file and prints the question
 and the result. These scripts share nothing with the library, so this module need not be trusted. In
-a file, a float is its shortest decimal, and a cost that was given as a fraction is that fraction.
+a file, a float is written as its shortest decimal, and a cost that was given as a fraction as this
+fraction.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ _AIM = 1e-12  # relative width for which a cap is chosen by the rate of the earl
 _STEEP = 1000.0  # price of failing with least failure, times 1 + |objective|
 _FARTHEST, _USED_UP = 10**6, 1e-11  # total, and share left of a utility, at which its steps end
 _TOTAL = [[">=", "0", "0", "1"]]
+_NO_FILE = "a certificate file cannot be written for"
 _IN_MEMORY = "; certify(solution) proves the optimum in memory"
 
 
@@ -92,8 +94,9 @@ def check_certificate(path: str | Path, *, problem: Problem | None = None) -> Ch
 
     Args:
         path: path of the file.
-        problem: the problem that the file must answer, with your own model; a file that answers
-            another one is refused. None: any; the verdict states the file's question in words.
+        problem: the problem that the file must answer, with your own model; a file for another
+            problem is refused. None: every problem is accepted, and the verdict states the file's
+            question in words.
 
     Returns:
         The verdict. If it is not ``accepted``, it names the inequality that fails, and where.
@@ -119,7 +122,7 @@ def _checked(lines: reading.Lines, expected: str | None = None) -> Checked:
     """Check the lines of a certificate and return the verdict; raise an error if they are refused.
 
     Args:
-        lines: lines of the file, from the first one at each call.
+        lines: function that returns an iterator over all lines of the file.
         expected: SHA-256 that the question and the model must have; None: any.
     """
     bounds, question, digests = reading.check(lines, expected)
@@ -134,15 +137,14 @@ def _checked(lines: reading.Lines, expected: str | None = None) -> Checked:
 
 
 def in_words(question: Mapping[str, Any], names: Mapping[int, str]) -> str:
-    """Return a checked question in words, using its own names.
+    """Return a checked question as a sentence, with its own names.
 
     Args:
         question: question of a certificate.
-        names: names of the states in which it begins.
+        names: names of the start states, by number.
     """
 
     def quantity(stated: Mapping[str, Any]) -> str:
-        """Return a quantity of the question in words."""
         words = [f"{weight} {kind} {what!a}" for weight, kind, what in stated["terms"]]
         constant = stated["constant"]
         return " + ".join([*words, *([constant] if constant != "0" or not words else [])])
@@ -181,13 +183,13 @@ def sha256_of(problem: Problem) -> str:
 
 def _refused(problem: Problem, why: str) -> ModelError:
     """Return the ModelError for a problem whose question certificate files do not cover."""
-    return ModelError(f"no certificate file of {type(problem).__name__}: {why}")
+    return ModelError(f"{_NO_FILE} {type(problem).__name__}: {why}")
 
 
 class Statement:
     """A problem's question and model in the format of certificate files.
 
-    The model has no copies of states for the steps taken: a horizon is part of the question.
+    The model has no copies of states for different times: a horizon is a field of the question.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -200,11 +202,11 @@ class Statement:
             raise _refused(problem, f"it counts quantities after failing{_IN_MEMORY}")
         if problem.discount is not None and problem.reach_fraction is not None:
             both = Argument("reach_fraction"), " and ", Argument("discount")
-            raise ModelError(f"no certificate file of {type(problem).__name__} with ", *both)
+            raise ModelError(f"{_NO_FILE} {type(problem).__name__} with ", *both)
         known = TotalCostCharge, Reward, ExpectedArrivalCost
         if charge is not None and not isinstance(charge, known):
             name = type(charge).__name__
-            raise _refused(problem, f"its charge, {name}, is not covered{_IN_MEMORY}")
+            raise _refused(problem, f"its charge, {name}, is not supported{_IN_MEMORY}")
         self.flat, self.charge = problem, charge
         if problem.horizon is not None:
             labels = {**problem.model.state_labels, LATE: np.zeros(0, dtype=np.int64)}
@@ -247,7 +249,7 @@ class Statement:
 
     @property
     def scale(self) -> Fraction:
-        """Greatest cost of a step, at most 1 (1 if all are 0): caps are multiples of it."""
+        """Unit of caps on total costs: the greatest cost of a step, at most 1; or 1 if it is 0."""
         costs, exact = self.costs[0]
         most = float(costs.max(initial=0.0))
         return min(exact.get(most, Fraction(text_of(most))), Fraction(1)) or Fraction(1)
@@ -301,10 +303,11 @@ class Statement:
         }  # fmt: skip
 
     def _steps(self, charge: Charge) -> list[list[str]]:
-        """Return a charge as linear pieces: relation, first total, value there and slope, as text.
+        """Return a charge of the total cost as linear pieces, each a list of texts.
 
-        A charge that is not piecewise linear gets a constant piece for each possible total at the
-        goal.
+        A piece has the relation ">=" or ">", the total from which on it holds, the charge there,
+        and the slope. A charge that is not piecewise linear gets a constant piece for each possible
+        total at the goal.
         """
         if isinstance(charge, TotalCostCharge):
             return _TOTAL
@@ -327,13 +330,12 @@ class Statement:
         return [*steps, [">", str(totals[-1]), text_of(sign * charge.offset), "0"]]
 
     def _quantity(self, condition: Condition, stated: Any) -> dict[str, Any]:
-        """Return a quantity in the format of certificate files.
-
-        Its costs and sets are added to those of the file.
+        """Return a quantity in the format of certificate files; add its costs and sets to the file.
 
         Args:
             condition: the quantity, looked up in the model.
-            stated: the quantity as stated, for its constant, or None.
+            stated: the quantity before that, whose constant is used; None: the constant of
+                ``condition``.
         """
         terms = list[list[Any]]()
         constant = Fraction(text_of(condition.constant if stated is None else stated.constant))
@@ -350,7 +352,7 @@ class Statement:
         return {"constant": str(constant), "terms": terms}
 
     def _cost(self, model: SSP) -> int:
-        """Return the position of a model's cost among those of the file; add it if it is new."""
+        """Return the index of a model's cost among the file's costs; add the cost if it is new."""
         for position, (costs, exact) in enumerate(self.costs):
             if exact == model.exact_costs and np.array_equal(costs, model.costs):
                 return position
@@ -360,7 +362,8 @@ class Statement:
     def _set(self, mask: BoolArray) -> str:
         """Return the name of a set of states in the file; add the set if it is new.
 
-        The name is "goal", "out of time", a label with these states, the only state, or a number.
+        The name is "goal", "out of time", a label of exactly these states, the name of a single
+        state, or "set" with a number.
         """
         model, members = self.flat.model, mask.nonzero()[0]
         if np.array_equal(mask, model.goal_mask):
@@ -380,17 +383,17 @@ class Statement:
 
 @lru_cache(1 << 14)
 def text_of(value: float | Fraction) -> str:
-    """Return a number as a text: a fraction as it is, a float as its shortest decimal."""
+    """Return a number as a text: a fraction such as "1/3", or a float's shortest decimal."""
     if isinstance(value, (int, Fraction)):
         return str(value)
     return repr(float(value)).removesuffix(".0")
 
 
 def program_of(asked: dict[str, Any], statement: Statement, cap: Fraction = Fraction(0)) -> Program:
-    """Build the linear program of a question whose failure bound is an interval.
+    """Build the linear program of one step of a question, such as its least failure.
 
     Args:
-        asked: the question, as ``certificate_lines.stated`` returns it.
+        asked: the question of the step, as ``certificate_lines.stated`` returns it.
         statement: has the model.
         cap: total cost from which on totals are not distinguished.
 
@@ -404,7 +407,13 @@ def program_of(asked: dict[str, Any], statement: Statement, cap: Fraction = Frac
 
 
 def goal_totals(question: dict[str, Any], statement: Statement, cap: Fraction) -> list[Fraction]:
-    """Return the total costs at which the goal can be reached from below a cap, and 0, sorted."""
+    """Return the possible total costs at the goal, sorted, with 0 always among them.
+
+    Args:
+        question: the question of the file.
+        statement: has the model.
+        cap: only steps that begin at a total below the cap are followed.
+    """
     any_failure = {"failure": (Fraction(1), Fraction(1)), "charge": _TOTAL, "greatest": False}
     program = program_of({**question, **any_failure}, statement, cap)
     ends = {r + t for x, r in program.place for action in program.model[x].actions
@@ -432,7 +441,7 @@ def write_certificate(solution: Solution, path: str | Path, *, tolerance: float 
         path: path of the file, which is compressed by gzip whatever its name.
         tolerance: largest error, relative to max(1, abs(objective)). The file is written only if
             the proved interval agrees with the solution's objective and bound, and the policy
-            attains the objective.
+            attains the objective, up to this error.
 
     Returns:
         The verdict, with the proved interval.
@@ -502,10 +511,10 @@ def certificate_of(solution: Solution) -> list[bytes]:
 def _best_proof(
     asked: dict[str, Any], statement: Statement, solved: Solution, step: str
 ) -> tuple[list[bytes], Bounds]:
-    """Return the lines and the interval of the best proof of one program of a certificate.
+    """Return the lines of the best proof of one program of a certificate, and the proved interval.
 
-    The cap on total costs is raised until the interval is narrow, or hardly gets narrower. It is
-    doubled first; afterwards its next value follows from the rate at which the width has fallen.
+    The cap on total costs is raised until the interval is narrow, or hardly gets narrower: first to
+    twice its value, then by the rate at which the width has fallen.
 
     Args:
         asked: the question of the program.
@@ -537,9 +546,10 @@ def _best_proof(
 
 
 def _prices(program: Program, solved: Solution, *, is_main: bool) -> list[Fraction]:
-    """Return the prices at which a program's proof begins, from the solution's prices, [rows].
+    """Return the prices of the rows from which the search for a proof starts, [rows].
 
-    The price of failure includes the ratio. All prices are 0 unless this is the main program.
+    They are the solution's prices in the main program, and 0 in all other programs. For a ratio,
+    the solution's objective is added to the price of failure.
     """
     of_failure, asked = solved.failure_price, program.question
     if of_failure is None or not math.isfinite(of_failure):
@@ -565,10 +575,10 @@ def _first_cap(asked: Mapping[str, Any], solved: Solution, scale: Fraction) -> F
 
 
 def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
-    """Return a function from a node of a program to the column that a policy takes there.
+    """Return a function from a program's node to the position of the column that a policy takes.
 
     Raises:
-        ModelError: the policy remembers more than the total cost, or draws its actions.
+        ModelError: the policy remembers more than the total cost, or draws its actions at random.
     """
     model, program = solved.problem.model, nodes.program
     every = [i for block in nodes.blocks for i in block if i]
@@ -586,15 +596,14 @@ def _decider(nodes: Nodes, policy: Policy, solved: Solution) -> Decide:
             paid = np.rint(paid / policy.unit) * policy.unit
         memory = policy.remember(memory, memory, states, paid)
     elif policy.memory_size != 1:
-        raise ModelError("no certificate file for a policy that remembers more than the total cost")
+        raise ModelError(f"{_NO_FILE} a policy that remembers more than the total cost")
     branches = policy.branches(states, memory)
     if len(branches.situation) != acting.size:
-        raise ModelError("no certificate file for a policy that draws its actions at random")
+        raise ModelError(f"{_NO_FILE} a policy that draws its actions at random")
     taken = np.where(branches.pair < 0, UNDECIDED, branches.pair - model.pair_offsets[states])
     table = dict(zip([every[k] for k in acting.tolist()], taken.tolist(), strict=True))
 
     def decide(i: int) -> int:
-        """Return the position of the policy's column among the node's columns."""
         actions, position = nodes.actions[nodes.state_of(i)], table.get(i, UNDECIDED)
         return actions.index(position) if position in actions else nodes.stop(i)
 

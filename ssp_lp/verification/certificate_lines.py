@@ -42,10 +42,12 @@ Lines = Callable[[], Iterator[bytes]]  # lines of a file, from the first one at 
 
 
 def lines_of(path: Any) -> Lines:
-    """Return a reader of a file's lines; lines too long, or too many for its size, are refused."""
+    """Return a function that reads a packed file line by line, from its first line at each call.
+
+    A line that is too long is refused, and so are lines that are too many for the file's size.
+    """
 
     def lines() -> Iterator[bytes]:
-        """Yield the lines from the first one on."""
         with open(path, "rb") as packed, gzip.open(packed) as file:
             left = LINE + TIMES * packed.seek(0, 2)
             packed.seek(0)
@@ -59,7 +61,7 @@ def lines_of(path: Any) -> Lines:
 
 
 def read(line: bytes, **kinds: type) -> Any:
-    """Return a line's content: an object with the given keys or, if none are given, a list."""
+    """Return a line's content: an object with exactly the given keys, or, without keys, a list."""
 
     def once(pairs: list[tuple[str, Any]]) -> Question:
         need(len(dict(pairs)) == len(pairs), "a key comes twice:", *(key for key, _ in pairs))
@@ -136,7 +138,7 @@ def read_proof(lines: Iterator[bytes], *, ratio: bool) -> tuple[Proof, str, int]
 
 
 def in_units(text: Any) -> int:
-    """Return the whole number that a text states, a count of the proof's units."""
+    """Return the whole number in a text, a number of the proof's units."""
     need(number(text).denominator == 1, "no whole number of units:", text)
     return int(number(text))
 
@@ -148,13 +150,17 @@ def steps_of(question: Question) -> list[str]:
 
 
 def stated(question: Question, step: str, answer: Any, done: dict[str, Bounds]) -> Question:
-    """Return the question of one program: failure gets an interval as bound, a quantile a charge.
+    """Return the question of one program: the file's question with some fields replaced.
+
+    The field `failure` becomes an interval that contains the bound. For a quantile, `charge`
+    becomes 1 for a total above the answer (program "late"), or for a total of at least the answer
+    ("from").
 
     Args:
         question: the question of the file.
         step: name of the program.
         answer: the value of a quantile, or None.
-        done: proved intervals of the programs before, by name.
+        done: intervals that the earlier programs have proved, by name.
     """
     if step == "least":
         return {**question, "failure": (Fraction(1), Fraction(1)), "objective": FAILING, "rows": [],
@@ -200,7 +206,7 @@ def proved_steps(
 
 
 def digested(program: Program, digest: Any) -> Iterator[Any]:
-    """Yield the columns of a program; meanwhile ``digest`` is updated by the program's text."""
+    """Yield the columns of a program, and update ``digest`` by the text of the program."""
     rows = [[row.name, str(row.least), str(row.most)] for row in program.rows]
     head = [program.size, str(program.objective.constant), rows, list(program.follows.items())]
     digest.update(json.dumps(head, separators=(",", ":")).encode() + b"\n")
@@ -211,10 +217,12 @@ def digested(program: Program, digest: Any) -> Iterator[Any]:
 
 
 def check(lines: Lines, expected: str | None = None) -> tuple[Bounds, Question, list[str]]:
-    """Return the proved interval, the question, the SHA-256 of question and model, and of programs.
+    """Check a certificate; return the proved interval, the question, and SHA-256 sums.
+
+    The first SHA-256 is that of question and model, the others are those of the programs.
 
     Args:
-        lines: lines of the file, from the first one at each call.
+        lines: function that returns an iterator over all lines of the file.
         expected: SHA-256 that the question and the model must have; None: any.
 
     Raises:

@@ -36,18 +36,19 @@ def certify(
     """Certify a solution: recompute objective and bound from model, policy, price and values.
 
     The objective and the failure come from an exact evaluation of the policy on the model. If the
-    distribution of the policy's total cost needs too large a table, the objective is replaced by a
-    bound by mean and variance, which is never better.
+    table for the distribution of the policy's total cost would be too large, a bound by mean and
+    variance replaces the objective; the true objective is at least as good.
 
     The lower bound comes from the price and the value function alone. The value function is lowered
-    until one backup, less its rounding errors, shows that it bounds the priced cost of every policy
-    from below. So a wrong policy, price or value function is refused or widens the gap.
+    until one Bellman backup, less its rounding errors, shows that the values bound the priced cost
+    of every policy from below. So a wrong policy, price or value function is refused or widens the
+    gap.
 
     Args:
         solution: a solution of ``solve``, or one put together by hand.
         verbose: whether to show the progress (``ssp_lp.progress_shown``).
         time_limit: seconds; None: no limit. If the bound of a criterion of the total cost is not
-            proved in time, the bound of the cheapest way to the goal takes its place.
+            proved in time, it is replaced by a weaker bound from the cheapest way to the goal.
 
     Returns:
         The certificate. ``accepted`` is false if the policy breaks the budget or a limit.
@@ -92,8 +93,8 @@ def certify(
 def _evaluated(solution: Solution) -> tuple[Evaluation, list[Evaluation]]:
     """Return the evaluation of a solution's lottery, and of each of its members.
 
-    If the distribution of the total cost needs too large a table, evaluations are pessimistic, by
-    mean and variance.
+    If the table for the distribution of the total cost would be too large, the objectives are
+    bounds by mean and variance: the true objectives are at least as good.
     """
     problem = solution.problem
     try:
@@ -109,7 +110,7 @@ def _evaluated(solution: Solution) -> tuple[Evaluation, list[Evaluation]]:
 def _proved(solution: Solution, evaluation: Evaluation, members: list[Evaluation]) -> Proved:
     """Return a bound of the optimum, proved by the method that fits the problem.
 
-    The bound by the cheapest way to the goal replaces it if the method fails or proves less.
+    If this method fails or proves less, the bound comes from the cheapest way to the goal instead.
 
     Args:
         solution: the solution.
@@ -160,7 +161,8 @@ class Certificate(Facts):
     def gap(self) -> float:
         """Certified relative gap between objective and bound; infinite if refused.
 
-        With least failure it is the larger of this gap and the gap of the least failure.
+        If least failure was asked for, the gap of the failure counts as well: the larger one is
+        returned.
         """
         if not self.accepted:
             return float("inf")
@@ -194,13 +196,14 @@ def certificate_of(
     tail: float = 0.0,
     above: bool = False,
 ) -> Certificate:
-    """Build the certificate with the verdict on a policy.
+    """Return the certificate of a policy: its recomputed values with the verdict.
 
     Args:
         evaluation: exact evaluation of the policy.
         bound: bound of every policy's objective.
         budget: the largest failure allowed.
-        reason: why the policy is refused, if that is known already.
+        reason: reason for which the policy is refused; empty: it is refused only if its values
+            demand it.
         tail: the part of the relative gap that is due to a cap on accumulated cost.
         above: whether the bound is an upper bound.
     """

@@ -95,7 +95,8 @@ def result_by(
     Args:
         name: "lp", "columns" or "game".
         problem: the problem.
-        lp_backend: the solver of the linear program, whatever its size; None: chosen by size.
+        lp_backend: the solver of the linear program, which is then solved whatever its size; None:
+            chosen by size.
         time_limit: seconds for this method.
     """
     method = parse_method(name)
@@ -145,9 +146,10 @@ _DIGITS = {"objective": 10, "bound": 10, "gap": 2, "seconds": 2}
 
 @dataclass(frozen=True)
 class SecondReading:
-    """Result of reading a model twice, by independent code.
+    """Comparison of two readings of a model by independent code.
 
-    It has the numbers of dead-ends and of other kinds of states, and the differences found.
+    It has the numbers of dead-ends and of other kinds of states, and the differences that were
+    found.
     """
 
     dead_ends: int
@@ -250,8 +252,8 @@ def cross_check(
         problem: a formulation, such as ``MCMP(...)`` or ``S3P(...)``.
         tolerance: relative distance of costs that still counts as agreement.
         weight_tolerance: distance of two alpha* above which the prices must be proved.
-        lp_backend: the solver of the linear program, see ``solve``; given one, a program of any
-            size is solved.
+        lp_backend: the solver of the linear program, see ``solve``. If it is given, the program is
+            solved whatever its size.
         time_limit: seconds for each method.
         verbose: whether to show the progress (``ssp_lp.progress_shown``).
 
@@ -301,8 +303,8 @@ def compare_methods(
 ) -> CrossCheck:
     """Compare the results of several methods for one problem.
 
-    A policy may exceed the budget by LEAST_BUDGET, because every method accepts a budget so little
-    below the least failure as equal to it.
+    A policy may exceed the budget by up to LEAST_BUDGET: if the budget is below the least failure
+    by no more than this, every method treats the two as equal.
 
     Args:
         methods: the results.
@@ -315,13 +317,11 @@ def compare_methods(
     answers = {one.name: one.answer for one in methods if one.answer is not None}
 
     def distance(one: float, other: float) -> float:
-        """Return the relative distance of two costs; infinite if one of them is not a number."""
         if isnan(one) or isnan(other):
             return inf
         return 0.0 if one == other else abs(one - other) / max(abs(one), abs(other), smallest)
 
     def agree(one: float, other: float) -> bool:
-        """Return whether two costs are equal within the tolerance."""
         return distance(one, other) <= tolerance
 
     findings, overrun = dict[str, str](), 0.0  # method -> objection
@@ -368,9 +368,9 @@ def _spread(solutions: Iterable[Solution]) -> float:
 
 
 def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) -> dict[str, str]:
-    """Return objections to methods that report a problem as infeasible, by name of the method.
+    """Return objections to methods that call a problem infeasible that another method has solved.
 
-    Another method has solved the problem.
+    The keys are the names of the methods.
     """
     findings = {}
     for method in methods:
@@ -385,13 +385,13 @@ def _infeasibility_objections(methods: Sequence[MethodResult], budget: float) ->
 def _mutual_objections(
     answers: Mapping[str, Solution], agree: Callable[[float, float], bool]
 ) -> dict[str, str]:
-    """Return objections to methods that contradict other methods, by name of the method.
+    """Return objections to methods whose results contradict those of others, by name of the method.
 
-    Either the objective differs from that of the majority, or the lower bound exceeds the value of
-    another method's policy.
+    A method's objective may differ from that of the majority. Or its lower bound may exceed the
+    value of another method's policy.
 
     Args:
-        answers: answers by method.
+        answers: solution of each method that has one, by name.
         agree: whether two costs are equal within the tolerance.
     """
     findings = dict[str, str]()

@@ -54,7 +54,7 @@ Decide = Callable[[int], int]  # node -> position of the column that a policy ta
 class _Way(NamedTuple):
     """A column of a program, restricted to a block of nodes.
 
-    It leads from ``node`` to each node j of ``outcomes``, pairs (a, j), with probability a / total.
+    Each entry (a, j) of ``outcomes`` leads from ``node`` to node j with probability a / ``total``.
     """
 
     node: int
@@ -77,7 +77,7 @@ class Member(NamedTuple):
 
 
 class _Lottery(NamedTuple):
-    """The best lottery over known members, and the prices of the rows there."""
+    """The best lottery over known members, and the prices of the rows at this optimum."""
 
     weights: list[Fraction]  # [members]; empty if no lottery satisfies the rows
     prices: list[Fraction]  # [rows]; if infeasible, every member violates the rows at them
@@ -124,9 +124,9 @@ class Nodes:
         return list(self.program.decisions(node, x, self.program.model[x].actions, r))
 
     def values(self, prices: Sequence[Fraction]) -> dict[int, int]:
-        """Return values of all nodes that satisfy every inequality of a lower bound at prices.
+        """Return a value of each node such that the values prove a lower bound at given prices.
 
-        They are almost the greatest values with this property.
+        They satisfy the inequality of every column, and are almost the greatest such values.
 
         Args:
             prices: prices of the rows, >= 0, [rows].
@@ -137,7 +137,6 @@ class Nodes:
         value, costs = dict[int, int](), dict[Counts, Fraction]()
 
         def priced(counts: Counts) -> Fraction:
-            """Return the priced cost of a column with given counts, in units."""
             if (cost := costs.get(counts)) is None:
                 cost = costs[counts] = sum(map(mul, prices, counts[1:]), counts[0]) * ONE
             return cost
@@ -152,7 +151,11 @@ class Nodes:
         return value
 
     def stop(self, node: int, *, must_wait: bool = False) -> int:
-        """Return the position of a node's column that waits for ever, or else of giving up.
+        """Return the position of a node's column for waiting for ever or, without one, giving up.
+
+        Args:
+            node: the node.
+            must_wait: whether giving up is not allowed.
 
         Raises:
             SolverError: the node has no such column.
@@ -164,13 +167,14 @@ class Nodes:
         return len(self.actions[x]) + stops - 1
 
     def state_of(self, node: int) -> int:
-        """Return the number of a node's state; with a horizon, of its (state, steps taken)."""
+        """Return the number of a node's state; with a horizon, of its pair (state, steps taken)."""
         return self.where[node][0] if node in self.where else (node - 1) % self.program.graph.size
 
     def member(self, decide: Decide) -> Member:
-        """Return a policy with the numbers t and u that prove its quantities (``prove.py``).
+        """Return a policy with the numbers t and u that prove its quantities (see ``prove.py``).
 
-        Where the policy would never end, it waits for ever instead, which must be free.
+        Where the policy would never end, it takes the column that waits for ever, which must be
+        free.
 
         Args:
             decide: node -> position of the column that the policy takes.
@@ -233,7 +237,7 @@ def _closure(begin: Iterable[int], after: Callable[[int], Iterable[int]]) -> set
 def _ways_of(
     columns: Sequence[Column], costs: Iterable[Fraction], known: Mapping[int, int]
 ) -> list[_Way]:
-    """Return the columns of a block of nodes as ways between its nodes, numbered from 0.
+    """Return a block's columns, restricted to the block, whose nodes are numbered from 0.
 
     Args:
         columns: columns of the block, node by node.
@@ -250,10 +254,10 @@ def _ways_of(
 
 
 def _best_of_block(ways: Sequence[_Way]) -> Iterable[tuple[int, int]]:
-    """Return a value of each node of a block, in units, and the index of a best way from it.
+    """Return for each node of a block its least value, in units, and the index of a best way.
 
-    All nodes of a free end component get the same value. They must be treated as one node, because
-    cycles of cost 0 do not bound the values from above.
+    The nodes of a free end component are solved as one node and get the same value, because a
+    policy that stays there has no unique values.
     """
     if not any(way.outcomes for way in ways):
         return ((value, w) for w, value in zip(*sub_solution(ways, ()), strict=True))
@@ -277,14 +281,14 @@ def _best_of_block(ways: Sequence[_Way]) -> Iterable[tuple[int, int]]:
 
 
 def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[int], list[int]]:
-    """Return a best choice, and almost greatest values v that satisfy the inequality of every way.
+    """Return a best choice, and almost greatest values that satisfy the inequality of every way.
 
-    The inequality is v at the way's node <= cost of the way + mean of v over its outcomes.
+    With values v, the inequality is: v at the way's node <= cost of the way + mean of v over its
+    outcomes.
 
     Args:
         ways: ways of all nodes, node by node.
-        choice: a way for each node, by which every run ends; it has no effect if no way has
-            outcomes.
+        choice: a way for each node, by which every run ends; not used if no way has outcomes.
 
     Returns:
         The index of a way for each node, and the values in units.
@@ -325,7 +329,7 @@ def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[
 
 
 def _too_high(ways: Sequence[_Way], values: Sequence[int]) -> set[int]:
-    """Return the nodes whose value violates the inequality of a way from there."""
+    """Return the nodes whose value is too high for the inequality of one of their ways."""
     return {node for node, total, outcomes, own in ways
             if values[node] * total > own + sum(a * values[j] for a, j in outcomes)}  # fmt: skip
 
@@ -359,7 +363,7 @@ def best_values(
 
 
 def near_choice(ways: Sequence[_Way], dynamics: Dynamics) -> list[int]:
-    """Return a nearly best way for each node, found in double precision; every run ends.
+    """Return a nearly best way for each node, computed in double precision; by them every run ends.
 
     Args:
         ways: ways of all nodes, node by node.
@@ -381,7 +385,7 @@ def near_choice(ways: Sequence[_Way], dynamics: Dynamics) -> list[int]:
 
 
 def _dynamics_of(ways: Sequence[_Way], n_nodes: int) -> Dynamics:
-    """Return the ways of all nodes, node by node, as a process in double precision."""
+    """Return the columns of all nodes, node by node, as a process in double precision."""
     counts = np.bincount([way.node for way in ways], minlength=n_nodes)
     exits = [(way.total - sum(a for a, _ in way.outcomes)) / way.total for way in ways]
     entries = [(w, j, a / way.total) for w, way in enumerate(ways) for a, j in way.outcomes]
@@ -390,13 +394,13 @@ def _dynamics_of(ways: Sequence[_Way], n_nodes: int) -> Dynamics:
 
 
 def _matrix(entries: Sequence[tuple[int, int, float]], shape: tuple[int, int]) -> sp.csr_array:
-    """Return a matrix of given entries (row, column, value); entries of equal place are summed."""
+    """Return a sparse matrix from entries (row, column, value); entries at one place are summed."""
     rows, columns, values = np.array(entries, dtype=np.float64).reshape(-1, 3).T
     return sp.csr_array((values, (rows.astype(np.int64), columns.astype(np.int64))), shape=shape)
 
 
 def solved(chosen: Sequence[_Way]) -> list[int]:
-    """Return the values of nodes with one way each, in units.
+    """Solve the equations of a policy with one way for each node; return its values in units.
 
     The equations hold up to some units, by iterative refinement.
     """
@@ -423,8 +427,9 @@ def best_lottery(
 ) -> _Lottery:
     """Solve the master program in fractions: the lottery of least objective within the rows.
 
-    If no lottery satisfies the rows, the sum of the weights may be below 1. Then the missing weight
-    is minimised, which gives prices at which every member violates the rows.
+    If no lottery satisfies the rows, the weights may sum to less than 1, and the missing weight is
+    minimised instead of the objective. At the prices of this problem every member violates the
+    rows.
 
     Args:
         members: objective and row values of each member, [members][1 + rows].
@@ -459,14 +464,14 @@ def best_lottery(
 def lower_bound(
     program: Program, prices: Sequence[Fraction], begin: int, rows: Sequence[Fraction]
 ) -> Fraction | None:
-    """Return the lower bound of the objective or ratio that values at given prices prove.
+    """Return the lower bound of the objective, or of the ratio, that a value at the start proves.
 
-    It is None if they prove no bound of the ratio.
+    The result is None if no bound of the ratio is proved.
 
     Args:
         program: the program.
         prices: prices of its rows.
-        begin: value of node 0, where runs begin, in units.
+        begin: value of node 0, where runs begin, at these prices, in units.
         rows: the bound of each row.
     """
     bound = program.objective.constant + Fraction(begin, ONE) - sum(map(mul, prices, rows), ZERO)
@@ -485,9 +490,9 @@ def proof_of(
 
     Args:
         nodes: nodes of the program.
-        first: members of a nearly optimal lottery. If the best lottery over them mixes several, it
-            determines the first prices.
-        prices: nearly optimal prices, the first ones otherwise.
+        first: members of a nearly optimal lottery. If the best lottery over these members mixes
+            several, the search starts at its prices.
+        prices: nearly optimal prices, at which the search starts otherwise.
 
     Returns:
         The lines of the proof in a file, and the interval that it proves.
@@ -557,10 +562,10 @@ def _in_lines(
     """Return a proof as lines of a certificate file.
 
     Args:
-        head: fields of the first line, without the unit; updated.
+        head: fields of the first line; ``unit`` and ``lines`` are added.
         values: node -> value of the lower bound, in units of 1 / ``ONE``.
-        members: members of the lottery. All numbers are written as multiples of the largest unit
-            that divides them.
+        members: members of the lottery. Values are written as multiples of the largest unit that
+            divides all of them.
     """
     vectors = [values, *(vector for one in members for vector in one.u)]
     unit = math.gcd(ONE, *(value for vector in vectors for value in vector.values()))
@@ -580,9 +585,10 @@ def line_of(content: object) -> bytes:
 
 
 def _broken(rows: Sequence[Row], members: Iterable[Member], prices: Sequence[Fraction]) -> str:
-    """Return the message of a program without a lottery within the rows.
+    """Return the message for a program of which no lottery satisfies the rows.
 
-    It names the row with the greatest price, and the least excess over it.
+    It names the row of the greatest price, and the least amount by which a member exceeds its
+    bound.
     """
     k = max(range(len(rows)), key=prices.__getitem__)
     least = min(one.totals[1 + k] for one in members)

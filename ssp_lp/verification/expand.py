@@ -29,8 +29,8 @@ COSTS = 63  # costs are fewer, so that a set of them fits a machine word
 class Action(NamedTuple):
     """An action of a state.
 
-    An outcome (a, y, t) leads to state y with probability a / total; t is its cost, the first one
-    if the model has several.
+    An outcome (a, y, t) leads to state y with probability a / ``total`` at cost t; if the model has
+    several costs, t is the first one.
     """
 
     name: str
@@ -86,7 +86,7 @@ class _Graph:
         return self.to[self.ends[k] : self.ends[k + 1]]
 
     def distances(self, allowed: Sequence[bool]) -> dict[int, int]:
-        """Return state -> least number of allowed actions to the goal, if it is reachable."""
+        """Return the least number of allowed actions to the goal, by state that can reach it."""
         steps = dict.fromkeys(self.goal, 0)
         queue = list(steps)
         for y in queue:  # the queue grows in the loop
@@ -147,7 +147,8 @@ class Program:
     """The linear program of a question: nodes, rows, and the columns at each node.
 
     Args:
-        question: question of a certificate, with the interval of the allowed failure as `failure`.
+        question: question of a certificate; its entry "failure" is an interval that contains the
+            allowed failure probability.
         states: returns the states of the model, from the first one at each call.
         cap: total cost from which on totals are not distinguished.
         lines: number of nodes for which the proof has a line; it limits the work.

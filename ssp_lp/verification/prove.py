@@ -69,9 +69,9 @@ class Row(NamedTuple):
 
 @dataclass
 class Member:
-    """A policy of the lottery, with the numbers of its proof.
+    """A policy of the lottery, with the numbers of its proof, each by node.
 
-    For each node it has the position of the column that is taken, t, and u of each quantity.
+    The numbers are the position of the column that is taken, t, and u of each quantity.
     """
 
     decision: dict[int, int] = field(default_factory=dict)
@@ -81,7 +81,7 @@ class Member:
 
 @dataclass
 class Proof:
-    """The numbers of a proof; those that belong to nodes, v and u, are in units of 1 / unit."""
+    """The numbers of a proof; the values v and u of nodes are in units of 1 / ``unit``."""
 
     unit: int
     prices: list[Fraction]
@@ -107,14 +107,14 @@ def need(holds: bool, *words: object) -> None:
 
 @lru_cache(1 << 16)
 def number(text: Any) -> Fraction:
-    """Return the exact value of a text that has a decimal or a fraction."""
+    """Return the exact value of a text, which is a decimal or a fraction."""
     need(isinstance(text, str) and len(text) < DIGITS, "no text of a number:", repr(text)[:99])
     need(NUMBER.fullmatch(text) is not None, "no decimal and no fraction:", repr(text)[:99])
     return Fraction(text)
 
 
 def whole(value: Any, below: int) -> int:
-    """Return a value, checked to be a whole number >= 0 and below a limit."""
+    """Return a value after checking that it is a whole number from 0 to ``below`` - 1."""
     if not (type(value) is int and 0 <= value < below):
         need(False, repr(value)[:99], "is not a whole number below", repr(below)[:99])
     return int(value)

@@ -32,7 +32,8 @@ def to_vipr(solution: Solution, path: str | Path) -> Fraction:
 
     Returns:
         The bound that the file proves. It is a lower bound of the objective; for a maximisation
-        problem, minus the upper bound; for a ratio, a lower bound of N + r F, which is at least r.
+        problem, minus the upper bound; for a ratio N / (1 - F) with the proved lower bound r, a
+        lower bound of N + r F, at least r.
 
     Raises:
         ModelError: the criterion is not covered.

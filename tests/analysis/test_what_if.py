@@ -13,6 +13,7 @@ from formulations import ISSPUDE, MCMP, S3P, CVaR, FinitePenalty, MaxProb, MinCo
 from refusing import refused
 from ssp_lp import SSP, Change, OutOfTimeError, Parameter, secondary_cost, solve, within_steps
 from ssp_lp.analysis import what_if as analysis_of
+from ssp_lp.analysis.what_if import what_if
 from ssp_lp.plotting import plot_parameter, plot_tornado
 from tests.campaigns import what_if_check
 
@@ -276,6 +277,28 @@ def test_optimal_lotteries_that_the_solver_misses_by_rounding_count(seed):
     assert not list(what_if_check.check(seed, Counter(), asked))
 
 
+@pytest.mark.parametrize(("seed", "name"), [(80104, "failure budget"), (70119, "limit 'lost'")])
+def test_prices_are_those_of_late_states_that_are_hardly_visited(seed, name):
+    """HiGHS's own tolerance left a basis whose prices were wrong by 2e-5 of their size."""
+    problem = what_if_check.drawn_problem(np.random.default_rng(seed), "S3P")
+    (effect,) = what_if(
+        problem, lambda number: number.name if number.name == name else None
+    ).effects
+    exact = solve(problem, tolerance=1e-11).objective
+    by_differences = what_if_check.one_sided(problem, effect.number.change, 1.0, 1e-4, exact)
+    assert effect.right == pytest.approx(by_differences, rel=1e-6)
+
+
+def test_no_optimal_lottery_succeeds_beyond_the_last_total():
+    """The solver's own lottery does not, but another optimal one did with probability 2e-5."""
+    problem = what_if_check.drawn_problem(np.random.default_rng(306174), "S3P")
+    name = "chance of home by a2 in 0"
+    (effect,) = what_if(
+        problem, lambda number: number.name if number.name == name else None
+    ).effects
+    assert effect.left == pytest.approx(effect.right, rel=1e-6)
+
+
 def test_a_huge_penalty_elsewhere_does_not_tie_two_ways():
     """The tram costs 1e-4 more than the bus, far from a pit whose penalty is 1e7."""
     ways = {way: [(1.0, "ford", cost)] for way, cost in (("bus", 5.0), ("tram", 5.0001))}
@@ -287,8 +310,9 @@ def test_a_huge_penalty_elsewhere_does_not_tie_two_ways():
     assert found["cost of bus in depot"].derivative == pytest.approx(1.0)
 
 
-def test_a_derivative_that_changes_close_by_is_said_to():
-    """Two ways rise together, up to a third that costs 1.5e-5 more; failing charges the least."""
+@pytest.mark.parametrize("charged", [False, True])
+def test_two_ways_rise_together_though_a_third_is_close(charged):
+    """The third costs 1.5e-5 more; failing is charged the least."""
     at = {"bus": 5.0, "tram": 5.0, "ferry": 5.0 + 1.5e-5}
     ways = {way: [(0.9, "home", cost), (0.1, "pit", cost)] for way, cost in at.items()}
     model = SSP.from_transitions({"depot": ways, "pit": {}}, {"home"}, dead_ends={"pit"})
@@ -296,12 +320,44 @@ def test_a_derivative_that_changes_close_by_is_said_to():
     def rising(number):
         return "fare" if number.kind == "cost" and number.action != "ferry" else None
 
-    (both,) = solve(MCMP(model, "depot", 0.5)).what_if(rising).effects
-    assert both.right is None
-    assert "right: the derivative changes when the number moves by 1e-05" in both.note
-    assert "solve both problems and compare" in both.note
-    (both,) = solve(MCMP(model, "depot", 0.5, charge_failing_step=False)).what_if(rising).effects
+    (both,) = solve(MCMP(model, "depot", 0.5, charge_failing_step=charged)).what_if(rising).effects
     assert (both.left, both.right) == pytest.approx((1.0, 1.0))
+
+
+def test_a_derivative_that_changes_close_by_is_said_to():
+    """The budget is that of a way; another one fails 1.5e-5 more often, at a tenth of the price."""
+    at = {
+        "walk": (0.05, 6.0),
+        "bus": (0.1, 5.0),
+        "tram": (0.1 + 1.5e-5, 5.0 - 1.5e-4),
+        "car": (0.2, 4.9),
+    }
+    ways = {way: [(1.0 - p, "home", cost), (p, "pit", cost)] for way, (p, cost) in at.items()}
+    model = SSP.from_transitions({"depot": ways, "pit": {}}, {"home"}, dead_ends={"pit"})
+    budget = by_name(solve(MCMP(model, "depot", 0.1)).what_if())["failure budget"]
+    assert budget.left == pytest.approx(-20.0)
+    assert budget.right is None
+    assert "right: the derivative changes when the number moves by 1e-05" in budget.note
+    assert "solve both problems and compare" in budget.note
+
+
+@pytest.mark.parametrize("dies", [{}, {"sink": [(1.0, "pit", 0.5)], "burn": [(1.0, "pit", 0.5)]}])
+def test_both_sides_of_a_kink_with_charges_take_one_program(dies, monkeypatch):
+    """Ties of ways and of charges: each side is a linear program over the optimal actions."""
+    ways = {way: [(0.8, "home", 3.0), (0.2, "pit", 3.0)] for way in ("bus", "tram")}
+    model = SSP.from_transitions({"depot": ways, "pit": dies}, {"home"}, dead_ends={"pit"})
+    programs, solve_program = [], analysis_of._vertex_in_time
+    monkeypatch.setattr(
+        analysis_of, "_vertex_in_time", lambda *of: programs.append(of) or solve_program(*of)
+    )
+    problem = FinitePenalty(model, "depot", 20.0, charge_failing_step=True)
+    found = by_name(solve(problem).what_if())
+    assert len(programs) == 1
+    bus = found["cost of bus in depot"]
+    assert (bus.left, bus.right) == pytest.approx((1.0, 0.0), abs=1e-9)
+    for way in dies:
+        burning = found[f"cost of {way} in pit"]
+        assert (burning.left, burning.right) == pytest.approx((0.2, 0.0), abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 5, 6, 7, 8])

@@ -1,6 +1,7 @@
 """An answer in hand before a search: what comes back where the time is too short for its own."""
 
 import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -259,3 +260,17 @@ def test_the_policy_of_least_failure_proves_a_bound_where_it_is_found_on_a_small
     compiled = MCMP(model, "a", 0.2).compile()
     proof = compiled.pricing().prove(100.0, compiled.least_failure().column)
     assert proof.bound == pytest.approx(4.0, rel=1e-12)
+
+
+def test_a_policy_found_when_the_time_ends_is_still_evaluated(monkeypatch):
+    """The search in case M ends at the deadline; the time to close evaluates its lottery."""
+    monkeypatch.setattr(deadline, "_GRACE", 0.0)
+    monkeypatch.setattr(deadline, "_CLOSING", 60.0)
+    for problem in (S3P(grid(8), 0, 0.2), CVaR(grid(8), 0, 0.9, 0.2)):
+        late = Incumbent(problem)
+        late.policies[False] = Incumbent(problem).find().policies[False]
+        with deadline.until(time.perf_counter() - 1.0):
+            assert late.find() is late
+        assert late.solution.budget_used <= 0.2
+        attained = evaluate(late.solution.policy, problem).objective
+        assert late.solution.objective >= attained * (1.0 - 1e-9)

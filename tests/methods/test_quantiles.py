@@ -183,3 +183,18 @@ def test_the_least_tail_mean_is_proved_on_every_threshold(level):
     """The halves of an interval of thresholds are told apart where it does not begin at 0, too."""
     solution = solve(CVaR(layered(5, 4, seed=2), 0, level, 0.2), time_limit=10.0)
     assert solution.gap <= 1e-9
+
+
+@pytest.mark.parametrize("slower", [False, True], ids=["one policy", "two policies"])
+def test_thresholds_are_refuted_where_the_goal_cannot_be_avoided(slower):
+    """Trying until it works: the tail beyond the k-th try costs k tries and then the mean."""
+    again, tries = 0.99, 10
+    actions = {"try": [(again, "x", 1.0), (1.0 - again, "g", 1.0)]}
+    if slower:
+        actions["later"] = [(0.995, "x", 1.0), (0.005, "g", 1.0)]
+    problem = CVaR(model_of({"x": actions}), "x", 1.0 - again**tries, 1.0)
+    solution = solve(problem)
+    assert solution.objective == pytest.approx(tries + 1.0 / (1.0 - again), rel=1e-9)
+    assert solution.gap <= 1e-9
+    assert int(solution.run.reason.split()[0]) <= 4  # thresholds; each other one takes no search
+    assert certify(solution).gap <= 1e-9

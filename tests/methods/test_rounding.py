@@ -415,6 +415,35 @@ def test_one_odd_cost_is_not_told_apart_where_it_hardly_matters():
 
 
 @pytest.mark.parametrize("discount", [None, 0.97])
+def test_a_policy_that_takes_no_split_cost_is_the_same_with_split_costs(discount, monkeypatch):
+    """Its figures are taken from there; any other policy is evaluated on the true model."""
+    field = windy_field(10, diagonal=1.0)
+
+    def odd(costs):
+        costs[:3] = 1.001, 1.003, 1.007
+
+    problem = S3P(with_odd_costs(field.model, odd), field.start, 0.3, discount=discount)
+    outcome = split_optimum(problem, Fraction(1), SolveOptions(1e-6), None)
+    pricing, evaluated, takes = outcome.compiled.pricing(), [], []
+
+    def figures(policy, stated):
+        evaluated.append(evaluation.success_figures(policy, stated))
+        return evaluated[-1]
+
+    monkeypatch.setattr(rounding, "success_figures", figures)
+    for price in (30.0, 60.0, 500.0):
+        split = pricing.minimise(price)
+        known = rounding._true_column(problem, outcome, pricing.policy(split), split)
+        takes.append(rounding._takes_split_costs(pricing.policy(split), outcome, problem.model))
+        told = known.cost, known.failure, known.goal
+        assert told == pytest.approx(figures(known.policy, problem), rel=1e-12)
+        full = evaluate(known.policy, problem)
+        assert known.cost / known.goal == pytest.approx(full.objective, rel=1e-12)
+        assert known.failure == pytest.approx(full.limited_failure, rel=1e-12)
+    assert len(evaluated) == 3 + sum(takes) < 6, takes
+
+
+@pytest.mark.parametrize("discount", [None, 0.97])
 def test_many_totals_begin_at_the_price_of_fewer(discount, monkeypatch):
     """Costs of two digits: the answer is that of the search on all totals."""
     monkeypatch.setattr(rounding, "_MANY", 20.0)

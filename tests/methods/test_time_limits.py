@@ -352,7 +352,7 @@ def test_the_program_is_assembled_in_pieces_and_is_what_it_says(monkeypatch):
         ),
         "steps": lambda model: unroll_steps(model, 30, [0]),
         "reaching": lambda model: graph.reaching_states(model, model.goal_mask),
-        "approach": lambda model: graph.nearer_pairs(model, graph.goal_pairs(model)),
+        "approach": lambda model: graph.nearer_pairs(model, None, ends=model.goal_mask),
         "pairs": lambda model: graph.pairs_into(model, model.goal_mask),
         "components": lambda model: graph.end_components(
             model, np.ones(model.n_pairs, dtype=np.bool_)

@@ -97,6 +97,24 @@ def test_every_free_component_is_merged():
     assert sorted(whole.pair_node[whole.gives_up].tolist()) == [0, 1]  # or stay for ever
 
 
+def test_choices_of_many_layers_are_those_of_each_layer():
+    """Also if members of a merged component move to the one whose pair is taken."""
+    ways = {k: {"on": [(1.0, "g", 3.0)], "off": [(1.0, "d", 1.0)]} for k in "abc"}
+    for k, after in zip("abc", "bca", strict=True):
+        ways[k]["free"] = [(1.0, after, 0.0)]
+    model = model_of({**ways, "d": {}, "e": {"on": [(1.0, "a", 2.0)]}})
+    quotient = build_quotient(model, free=costless_pairs(model))
+    first, most = quotient.pair_offsets[:-1], np.diff(quotient.pair_offsets)
+    assert sorted(most.tolist()) == [1, 6]
+    choice = np.arange(12, dtype=np.uint8)[:, None] % most
+    for _ in range(2):  # also from the cache
+        for layer, places in zip(choice, quotient.positions(first, choice), strict=True):
+            pairs = quotient.pull_back(first + layer)
+            live = quotient.node_of >= 0
+            own = np.where(pairs < 0, pairs, pairs - model.pair_offsets[:-1])
+            np.testing.assert_array_equal(places[live], own[live])
+
+
 def test_every_action_of_greatest_goal_probability_may_be_used():
     """Of four ways three reach the goal with 3/4, one by a detour; the cheapest is taken."""
     model = model_of(

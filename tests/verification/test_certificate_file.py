@@ -317,7 +317,7 @@ def test_a_proof_is_better_than_a_solution_that_was_cut_short(tmp_path):
 )
 def test_what_is_not_covered_is_named(solution, words, tmp_path):
     solution = solve(solution)
-    refused(f"no certificate file of {words}", write_certificate, solution, tmp_path / "one")
+    refused(f"cannot be written for {words}", write_certificate, solution, tmp_path / "one")
     assert certify(solution).accepted
     assert not (tmp_path / "one").exists()
 
@@ -325,7 +325,7 @@ def test_what_is_not_covered_is_named(solution, words, tmp_path):
 def test_a_policy_that_must_not_be_mixed_is_proved_in_memory(tmp_path):
     """At least failure lotteries do no better, so that there the file proves it."""
     single = solve(MCMP(ROAD, "road", 0.05), "deterministic")
-    words = "no certificate file of MCMP: the best deterministic policy is not covered"
+    words = "cannot be written for MCMP: the best deterministic policy is not covered"
     refused(words, write_certificate, single, tmp_path / "one")
     assert certify(single).accepted
     least = solve(MCMP(ROAD, "road"), "deterministic")

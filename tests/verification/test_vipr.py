@@ -127,7 +127,7 @@ def test_the_bound_is_a_combination_of_constraints(name, tmp_path):
 
 def test_what_no_file_covers_has_no_bound_in_one(tmp_path):
     solution = solve(PROBLEMS["budget"], "deterministic")
-    refused("no certificate file of MCMP", to_vipr, solution, tmp_path / "x")
+    refused("a certificate file cannot be written for MCMP", to_vipr, solution, tmp_path / "x")
     assert not (tmp_path / "x").exists()
 
 

@@ -346,7 +346,7 @@ def test_policies_that_no_certificate_follows(tmp_path):
     words = "remembers more than the total cost", "draws its actions"
     for policy, word in zip((timed, drawing), words, strict=True):
         forged = replace(honest, policy=MixedPolicy((policy,), np.ones(1)))
-        refused(f"no certificate file for a policy that {word}", files.certificate_of, forged)
+        refused(f"cannot be written for a policy that {word}", files.certificate_of, forged)
 
 
 def test_the_digest_is_that_of_question_and_model(tmp_path):

@@ -48,16 +48,16 @@ def read_drn(
     """Read a model from a DRN file of Storm, plain or packed as Storm does (or by gzip alone).
 
     The cost of an action is its reward plus that of its state. Actions of goal states are dropped.
-    If no action leaves a state with the label "deadlock", its actions are dropped: it is a
-    dead-end. Other labels become ``state_labels``, except for names that reports use already.
+    A state with the label "deadlock" that no action leaves becomes a dead-end without actions.
+    Other labels become ``state_labels``, except for names that reports use already.
 
     Args:
         path: the file; its type is MDP or DTMC, its probabilities and rewards are numbers.
         goal: the label of the goal states.
         cost: name of the reward model that is the cost ("" for one without a name); None: the only
             one, or a cost of 1 for each action if the file has none.
-        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
-            Any other state without actions that is not a goal is then an error.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate. Any
+            other state without actions that is not a goal is then an error.
 
     Returns:
         The model, whose states are the numbers of the file, and its initial states.
@@ -102,7 +102,7 @@ def _sections_of(file: _DrnFile, lines: Iterator[str]) -> dict[str, str]:
 
 @dataclass
 class _DrnFile:
-    """A DRN file with its current line, and the entries below its header so far. Mutable."""
+    """A DRN file: its current line, and the states, actions and outcomes read so far. Mutable."""
 
     path: Path
     number: int = 0  # of the current line
@@ -173,7 +173,7 @@ class _DrnFile:
             raise self.fault("neither a state nor an action nor a transition")
 
     def _add_entry(self, kind: str, name: str, listed: str | None, rest: str) -> None:
-        """Add the line of a state or an action."""
+        """Add a state or an action from the parts of its line."""
         is_action = kind == "action"
         if is_action and not self.states_read:
             raise self.fault("an action must follow a state")
@@ -249,10 +249,10 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     dead-ends "deadlock", the start "init"; goal states and dead-ends get a loop of cost 0.
 
     DRN has one reward for each action. If outcomes of an action differ in cost, the action pays the
-    least of them, and a more expensive outcome leads through an extra state labelled "paying",
-    which pays the rest. The total cost of a run is unchanged, and the readers of this library
-    remove these states. (In other tools, a quantity counted up to a failure may lack the rest of
-    the step that fails.)
+    least of their costs, and a more expensive outcome leads to its successor through an extra state
+    labelled "paying", which pays the rest. The total cost of a run is unchanged, and the readers of
+    this library remove these states. (In other tools, a quantity that is counted up to a failure
+    may lack the rest of the cost of the step that fails.)
 
     Args:
         model: the model.

@@ -48,20 +48,20 @@ def parse_json(
 
     The text is a table ``{state: {action: [[probability, successor, cost], ...]}}``, alone or as
     "transitions" beside "goal", "start", "labels" and "dead_ends". Names are strings, a cost is a
-    number or ``{name: number}``, and a number may be a fraction as a string, "1/3". A text with
-    the "format" "explicit-mdp-v1" instead lists the choices of each state, by number.
+    number or ``{name: number}``, and a number may be a fraction as a string, "1/3". A text with the
+    "format" "explicit-mdp-v1" instead lists the choices of each state, by number.
 
     Args:
         text: the JSON.
         source: name of the text in errors.
         goal: names of the goal states, or labels of sets of states; empty: the text's "goal".
         cost: name of the cost; None: the only one.
-        dead_ends: states from which no action reaches the goal, labels of them, or a predicate;
-            None: the text's "dead_ends", unless ``goal`` differs from the text's "goal".
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
+            None: the text's "dead_ends", or not checked if ``goal`` differs from the text's "goal".
 
     Raises:
-        ModelError: the text has another form, repeats a name, has no goal, or has a goal that is
-            no state.
+        ModelError: the text has another form, repeats a name, has no goal, or has a goal that is no
+            state.
     """
     try:
         table = json.loads(text, object_pairs_hook=_without_repetition)
@@ -204,7 +204,11 @@ def _stated_model(
 def _json_outcome(
     where: str, outcome: Any, cost: str | None, counted: set[str]
 ) -> tuple[Any, Hashable, Any]:
-    """Check and return an outcome; add the name of the cost to be minimised to ``counted``."""
+    """Check an outcome and return (probability, successor, cost).
+
+    The name of the minimised cost, if costs are named, is added to ``counted``. ``where`` names the
+    pair in errors.
+    """
     fits = isinstance(outcome, list) and len(outcome) == 3
     if not fits or not isinstance(outcome[1], (str, int)):
         raise ModelError(
@@ -272,7 +276,7 @@ def model_in_json(
     by_name = model.costs_by_name
 
     def paid(costs: Sequence[float]) -> Any:
-        """Return the cost of an outcome: a number, or several by name, fractions as strings."""
+        """Return an outcome's costs: a number, or ``{name: number}``; fractions are strings."""
         amounts = [str(model.exact_costs.get(cost, "")) or cost for cost in costs]
         return dict(zip(by_name, amounts, strict=True)) if model.named_costs else amounts[0]
 

@@ -151,8 +151,9 @@ def costs_of_rewards(
 ) -> dict[str, Any]:
     """Return the fields ``costs`` and ``named_costs`` of a raw model.
 
-    The named costs are the reward models with a unique name. A reward model without a name is
-    called "" if there are several; if it is the only one it has no name.
+    The named costs are the reward models whose names are unique. If there are several reward
+    models, one without a name is called "". A single reward model without a name is not a named
+    cost.
 
     Args:
         source: name of the model in errors.
@@ -196,11 +197,12 @@ class RawModel(NamedTuple):
 
 
 def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
-    """Remove states that only pay: their cost is added to the outcome that leads to them.
+    """Remove states that only pay, and add their costs to the outcomes that lead to them.
 
-    A state that only pays has the label "paying", one action, "pay", and one certain successor;
-    :func:`exported` adds such states where the outcomes of an action differ in cost. Without them
-    a quantity that is counted until a failure includes the whole cost of the step that fails.
+    :func:`exported` adds such states where the outcomes of an action differ in cost. A state only
+    pays if it has the label "paying", one action, "pay", and one certain successor. Each outcome
+    that leads into the state then leads to this successor, at the sum of both costs. So a quantity
+    that is counted until a failure includes the whole cost of the step that fails.
 
     Args:
         raw: content of the file.
@@ -293,16 +295,16 @@ def finished(
 ) -> ModelFile:
     """Build the model from a raw model, with the states of a label as goals.
 
-    Actions of goal states are dropped. If no action leaves a state with the label "deadlock", its
-    actions are dropped: it is a dead-end. States that only pay the rest of a cost are removed.
-    Named costs that are negative or infinite somewhere are left out.
+    Actions of goal states are dropped. A state with the label "deadlock" that no action leaves
+    becomes a dead-end without actions. States that only pay the rest of a cost are removed. Named
+    costs that are negative or infinite somewhere are left out.
 
     Args:
         raw: content of the file, with consistent arrays.
         goal: the label of the goal states.
         source: the file, for errors.
-        dead_ends: states from which no action reaches the goal, or labels of them ("deadlock"
-            too); None: not checked.
+        dead_ends: states from which no action reaches the goal, or labels of them ("deadlock" too);
+            None: not checked.
 
     Raises:
         ModelError: no state has the label, wrong numbers, or another dead-end.
@@ -368,10 +370,10 @@ _BAD_LABEL = re.compile(r'["\\\x00-\x1f]|//')
 def exported(model: SSP, start: Hashable) -> RawModel:
     """Return a model as a raw model for another tool, in which each action has one cost.
 
-    Its states are those of the model, then states that pay: if an outcome costs more than the
-    cheapest outcome of its action, it leads to its successor through a state that pays the rest.
-    Goal states and dead-ends have a loop. Names of actions and costs are words: no two costs share
-    a name, nor do two actions of a state. The successors of each pair are in increasing order.
+    If an outcome costs more than the cheapest outcome of its action, it leads to its successor
+    through an extra state that pays the difference. The model's states come first, then the extra
+    ones. Goal states and dead-ends get a loop. Names of actions and costs become words, distinct
+    within a state and among costs. The successors of each pair are in increasing order.
 
     Args:
         model: the model.
@@ -422,18 +424,21 @@ def costs_of_pairs(raw: RawModel) -> dict[str, FloatArray]:
 def _split_costs(
     model: SSP, costs: Iterable[FloatArray], pair: IntArray, occurs: BoolArray
 ) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
-    """Split the costs of outcomes: the pair pays the least, an extra state pays the rest.
+    """Split the costs of each pair's outcomes into the least cost and the rest.
+
+    The pair pays the least cost. An outcome with a greater cost leads to its successor through an
+    extra state, which pays the rest.
 
     Args:
         model: the model.
         costs: the model's costs, [outcomes of the model] each.
-        pair: pair of each outcome that occurs, [outcomes].
-        occurs: mask of the outcomes that occur, [outcomes of the model].
+        pair: pair of each possible outcome, [possible outcomes].
+        occurs: mask of the possible outcomes, [outcomes of the model].
 
     Returns:
-        The next state of each outcome that occurs, perhaps an extra one, [outcomes]; the costs of
-        each pair, [pairs, costs]; the successor of each extra state, [extra states]; and the costs
-        that it pays, [extra states, costs].
+        The next state of each possible outcome, its successor or an extra state, [possible
+        outcomes]; the least costs of each pair, [pairs, costs]; the successor of each extra state,
+        [extra states]; and the costs that the extra state pays, [extra states, costs].
     """
     successors = model.successors[occurs].astype(np.int64)
     paid = np.stack([each[occurs] for each in costs], axis=1)
@@ -493,21 +498,20 @@ def _exported_labels(
 
 
 _MOST_DISTINCT = 100_000
-"""Greatest number of distinct pairs of summands that are added exactly, not as floats."""
+"""Greatest number of distinct pairs of summands that are added exactly; more: as floats."""
 
 
 def decimal_sum(
     one: FloatArray, other: FloatArray, exact: Mapping[float, Fraction] | None = None
 ) -> FloatArray:
-    """Add two arrays of costs exactly, where each float stands for its shortest decimal.
+    """Return the sums of two arrays of costs, exact up to one rounding, [numbers].
+
+    Each float stands for its shortest decimal, such as 0.1, or for the fraction given by ``exact``.
 
     Args:
-        one: [numbers].
-        other: [numbers].
-        exact: float -> the fraction that it stands for instead, such as 1/3.
-
-    Returns:
-        The floats nearest to the exact sums, [numbers].
+        one: first summands, [numbers].
+        other: second summands, [numbers].
+        exact: float -> the fraction that it stands for, such as 1/3.
     """
     if not (one.any() and other.any()):
         return one if one.any() else other
@@ -525,15 +529,15 @@ def decimal_sum(
 
 
 def _distinct_pairs(one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return the distinct pairs of finite numbers in two arrays, sorted.
+    """Return the distinct pairs (one[k], other[k]) of finite numbers, sorted.
 
     Args:
         one: [numbers].
         other: [numbers].
 
     Returns:
-        The first and the second number of each distinct pair, and the position of each given pair
-        among them, [numbers].
+        The first and the second number of each distinct pair, and for each k the position of the
+        pair (one[k], other[k]) among them, [numbers].
     """
     both = np.empty(one.size, dtype=np.complex128)  # one number: sorting rows is slow
     both.real, both.imag = one, other

@@ -46,18 +46,18 @@ def read_umb(
     """Read a model from a UMB archive, plain or packed by gzip or xz.
 
     The cost of an outcome is the reward of its state, its choice and its branch, added as decimals.
-    States are the tuples of the values of their variables if the archive has any that distinguish
-    them; otherwise they are numbers. Actions of goal states are dropped. If no action leaves a
-    state with the label "deadlock", its actions are dropped: it is a dead-end. Other labels of
-    states become ``state_labels``, except for names that reports use already.
+    A state is the tuple of its variables' values if the archive has variables and these tuples are
+    distinct, otherwise a number. Actions of goal states are dropped. A state with the label
+    "deadlock" that no action leaves becomes a dead-end without actions. Other labels of states
+    become ``state_labels``, except for names that reports use already.
 
     Args:
         path: the file; a Markov decision process or Markov chain in discrete time.
         goal: the label of the goal states.
         cost: name of a reward model, "" for one without a name; None: the only one, or 1 for each
             action if there is none.
-        dead_ends: states from which no action reaches the goal, labels of them, or a predicate.
-            Any other state without actions that is not a goal is then an error.
+        dead_ends: states from which no action reaches the goal, labels of them, or a predicate. Any
+            other state without actions that is not a goal is then an error.
 
     Returns:
         The model and its initial states.
@@ -151,15 +151,15 @@ class UmbArchive:
         )
 
     def states(self) -> Sequence[Hashable] | None:
-        """Return the tuple of each state's variables, [states]; None if tuples are repeated."""
+        """Return the tuple of each state's variables, [states]; None if two tuples are equal."""
         names = list(zip(*self.variables().values(), strict=True))
         return names if len(set(names)) == self._n_states else None
 
     def variables(self) -> dict[str, list[Hashable]]:
         """Return the values of the variables in each state, by name, each [states].
 
-        The result is empty if the archive describes no variables, or several classes of states, or
-        an optional variable, or one of a type other than bool, whole and floating numbers.
+        The result is empty if the archive describes no variables, several classes of states, an
+        optional variable, or a variable that is neither a bool nor a number.
 
         Raises:
             ModelError: the values do not fit their description.
@@ -195,7 +195,7 @@ class UmbArchive:
         return columns
 
     def _annotations(self, group: str) -> list[tuple[str, str, dict[str, Any]]]:
-        """Return name, identifier and description of the annotations of a group."""
+        """Return a group's annotations in the index as (name, key in the index, description)."""
         every = self._stated(self._index, "annotations", dict, {})
         found = []
         for key, described in self._stated(every, group, dict, {}).items():
@@ -235,7 +235,10 @@ class UmbArchive:
         return raw_model.distinct_actions([words[code] for code in codes.tolist()], self._pairs)
 
     def _stated(self, place: Any, name: str, kind: type, *default: Any) -> Any:
-        """Return an entry of the index, or the default if it is missing, with its type checked."""
+        """Return an entry of the index; raise :class:`ModelError` if its type is not ``kind``.
+
+        A missing entry is replaced by the default, if there is one.
+        """
         value = place.get(name, *default) if isinstance(place, dict) else None
         if type(value) is not kind:
             raise self._fault(f"its {_INDEX} needs {name!r}, of type {kind.__name__}")
@@ -272,7 +275,7 @@ class UmbArchive:
         return bits.astype(np.bool_)
 
     def _offsets(self, name: str, n_targets: int) -> IntArray:
-        """Return the offsets of each entry's targets, [entries + 1].
+        """Return the offsets in a file: entry k has the targets offsets[k] .. offsets[k + 1] - 1.
 
         If the archive has no such file, each entry has one target.
         """
@@ -286,7 +289,7 @@ class UmbArchive:
         return np.asarray(offsets, dtype=np.int64)
 
     def _size(self, name: str, width: int) -> int:
-        """Return how many entries of this width in bytes a file has."""
+        """Return the number of entries in a file, each ``width`` bytes wide."""
         return len(self._files.get(name, b"")) // width
 
     def _array(self, name: str, kind: str, size: int) -> Any:
@@ -297,7 +300,6 @@ class UmbArchive:
         return np.frombuffer(data, dtype=kind)
 
     def _fault(self, complaint: str) -> ModelError:
-        """Return an error that names the archive."""
         return ModelError(f"{self.path}: {complaint}")
 
 
@@ -369,12 +371,12 @@ def _bytes_of(values: Any, kind: str) -> bytes:
 
 
 def _bit_set(members: IntArray, n_states: int) -> bytes:
-    """Return a set of states as the bytes of a file in a UMB archive."""
+    """Return a set of states as the bytes of a file in a UMB archive: one bit for each state."""
     bits = np.zeros(-(-n_states // _WORD) * _WORD, dtype=np.bool_)
     bits[members] = True
     return np.packbits(bits, bitorder="little").tobytes()
 
 
 def _identifiers(names: Iterable[str]) -> list[str]:
-    """Return distinct identifiers for names of annotations, which name their files."""
+    """Return a distinct identifier for each annotation's name, to name the annotation's files."""
     return raw_model.distinct_words([name.lower() for name in names], r"[^0-9a-z_-]+")
