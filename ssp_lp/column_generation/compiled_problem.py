@@ -815,7 +815,7 @@ class CompiledExplicit(CompiledProblem):
     def base(self) -> AccumulatedCost:
         """One layer of the process; raises ModelError if there is no charge."""
         if self.layer is None:
-            raise ModelError("a problem without a charge has no layers of accumulated cost")
+            raise ModelError("the problem counts no accumulated cost, so it has no layers")
         return (self.layer if self.budget is not None else self.layer.safest).base
 
     @cached_property
