@@ -127,12 +127,12 @@ class Answers(Report):
         return iter(self.answers)
 
     def __getitem__(self, place: int) -> Answer:
-        """Return the answer to a problem by its place."""
+        """Return the answer to the problem at a position."""
         return self.answers[place]
 
     @property
     def errors(self) -> Mapping[int, SSPError]:
-        """Answers that are errors, by their places."""
+        """Answers that are errors, by the positions of their problems."""
         return {k: answer for k, answer in enumerate(self) if isinstance(answer, SSPError)}
 
     @property
@@ -253,7 +253,7 @@ def solve_many(
         [3.0, 2.0]
     """
     if isinstance(problems, Problem):
-        raise ModelError("solve_many takes several problems: pass a list, or call solve")
+        raise ModelError("solve_many() takes several problems: pass a list, or call solve")
     began, asked = time.perf_counter(), [*problems]
     for problem in asked:
         check_problem(problem, "solve_many")

@@ -123,7 +123,7 @@ def least_integer_type(most: int) -> npt.DTypeLike:
 
 
 def narrow(offsets: IntArray) -> IntArray:
-    """Return offsets as 32-bit integers if they fit, as scipy uses for columns."""
+    """Return offsets as 32-bit integers, the type of scipy's column indices, if they fit."""
     fits = int(offsets[-1]) <= np.iinfo(np.int32).max
     return offsets.astype(np.int32, copy=False) if fits else offsets
 

@@ -134,7 +134,7 @@ class Cargo:
         self._places[id(self._models.setdefault(place, model))] = place
 
     def _model_at(self, place: int) -> SSP:
-        """Return the model at a place in the file, which is read on first use."""
+        """Return the model at a place in the file; it is read on first use."""
         if place not in self._models:
             stream, spans = pickle.loads(self._content[place:])  # noqa: S301 (the caller's process)
             buffers = [self._content[begin:end] for begin, end in spans]

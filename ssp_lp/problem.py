@@ -375,7 +375,7 @@ def check_problem(problem: object, verb: str) -> None:
     """
     if not isinstance(problem, Problem):
         raise ModelError(
-            f"{verb} takes a problem, such as MCMP(model, start=..., failure_budget=...), not "
+            f"{verb}() takes a problem, such as MCMP(model, start=..., failure_budget=...), not "
             f"{in_short(problem)}"
         )
 
@@ -490,11 +490,11 @@ def on_one_model(
     """
     is_policy = isinstance(policy, Policy | MixedPolicy)
     if not is_policy and len(attributes_of(policy, "policy", "problem")) == 2:
-        raise ModelError(f"{verb} takes a policy: pass solution.policy and its problem")
+        raise ModelError(f"{verb}() takes a policy: pass solution.policy and its problem")
     check_problem(problem, verb)
     if not is_policy:
         raise ModelError(
-            f"{verb} takes a policy, such as solution.policy or DeterministicPolicy.from_actions("
+            f"{verb}() takes a policy, such as solution.policy or DeterministicPolicy.from_actions("
             f"model, {{state: action}}), not {in_short(policy)}"
         )
     if problem.box is not None:

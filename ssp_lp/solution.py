@@ -536,7 +536,7 @@ def as_solved(solution: Solution, verb: str) -> Solution:
         ModelError: the argument is not a Solution.
     """
     if not isinstance(solution, Solution):
-        raise ModelError(f"{verb} takes a solution, such as solve(problem): {in_short(solution)}")
+        raise ModelError(f"{verb}() takes a solution, such as solve(problem): {in_short(solution)}")
     policy, problem = on_one_model(solution.policy, solution.problem, verb)
     return replace(solution, policy=policy, problem=problem)
 

@@ -86,7 +86,7 @@ class LiveChain:
 
 
 class _FreeMoves:
-    """Moves of cost 0, which form a chain within each layer."""
+    """The Markov chain of the moves of cost 0 within a layer."""
 
     def __init__(self, live: LiveChain, free: BoolArray) -> None:
         """Store the moves marked ``free``, [moves], which must not lead to the goal."""

@@ -99,7 +99,7 @@ class TailValues(NamedTuple):
 
 
 class Charge(ABC):
-    """A non-decreasing function of the total cost, by default affine from some total on."""
+    """A non-decreasing function of the total cost, by default affine above some total."""
 
     is_the_total: ClassVar[bool] = False  # whether it is the total cost itself
 
@@ -110,7 +110,7 @@ class Charge(ABC):
 
     @property
     def slope(self) -> float:
-        """Slope of the affine part, from ``settled`` on."""
+        """Slope of the affine part, which begins at total cost ``settled``."""
         return 0.0
 
     @property
@@ -224,7 +224,7 @@ class ExcessCharge(Charge):
 
 
 class Measure(ABC):
-    """A number computed from the law of success costs."""
+    """A number computed from the distribution of the total cost of successful runs."""
 
     maximised: ClassVar[bool] = False  # whether it is maximised
     is_expectation: ClassVar[bool] = False  # whether one program is enough; else it needs a search
@@ -378,7 +378,7 @@ class ExponentialUtility(Reward):
 
 @dataclass(frozen=True)
 class ExpectedArrivalCost(Charge, Measure):
-    """E[f(total cost) | goal], minimised; f >= 0 never falls and is affine from some total on."""
+    """E[f(total cost) | goal], minimised; f >= 0 is non-decreasing, and affine above some total."""
 
     function: Utility
     affine_from: float = 0.0
@@ -396,7 +396,7 @@ class ExpectedArrivalCost(Charge, Measure):
 
     @property
     def is_concave(self) -> bool:
-        """Whether f is affine from total cost 0 on."""
+        """Whether f is affine for all total costs."""
         return self.affine_from == 0.0
 
     @property

@@ -263,7 +263,7 @@ class CostLaw:
         return self._answer(atoms)
 
     def _mean(self, of: Callable[[Chain], float]) -> float:
-        """Return the mean over the lottery of a function of a member's chain."""
+        """Return the mean of ``of(chain)`` over the chains of the lottery's members."""
         numbers = zip(self._chains, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 

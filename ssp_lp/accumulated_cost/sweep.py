@@ -109,7 +109,7 @@ whether the pass is compiled."""
 
 
 class Priced(NamedTuple):
-    """Costs that a sweep minimises: of pairs and ends, and values beyond the cap."""
+    """Data of a minimisation: costs of pairs and of ends, and values beyond the cap."""
 
     owed: FloatArray  # [pairs] cost in addition to the charge, non-negative
     saved: FloatArray  # [pairs] earnings, non-negative
@@ -146,7 +146,7 @@ class Sweep:
 
     @classmethod
     def of_ends(cls, process: ChargedLayers) -> Sweep:
-        """Return the sweeps whose counted rewards are failure and the goal."""
+        """Return the sweeps that count two rewards: failing and reaching the goal."""
         base = process.base
         return cls(process, np.stack([base.failure, base.survival * base.gain], axis=1))
 

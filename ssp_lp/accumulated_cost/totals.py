@@ -76,7 +76,7 @@ def layers_within(total: float | Fraction, unit: Fraction) -> int:
 
 
 def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
-    """Return totals given as numbers of units, each rounded once, in the shape of ``layers``."""
+    """Convert totals in units to floats, each rounded once, in the shape of ``layers``."""
     return np.asarray(layers * float(unit.numerator) / float(unit.denominator))
 
 
@@ -408,10 +408,10 @@ class Totals:
 
     @cached_property
     def beyond(self) -> FloatArray:
-        """The totals from the cap on that steps from below the cap reach, increasing, [beyond].
+        """The totals at or beyond the cap that a step from below the cap reaches, increasing.
 
-        If ``complete``, sums between the last layer and the cap are included. No run reaches them,
-        but the tables have an entry for every step from every layer.
+        Shape [beyond]. If ``complete``, sums between the last layer and the cap are included. No
+        run reaches them, but the tables have an entry for every step from every layer.
         """
         if self.unit is not None:
             return totals_of(self.size + np.arange(len(self.steps) - 1), self.unit)
@@ -453,7 +453,7 @@ class Totals:
 
     @cached_property
     def span(self) -> int:
-        """Number of layers ahead that a sweep holds: as many as the farthest step passes."""
+        """Number of layers ahead that a sweep stores: as many as the farthest step passes."""
         farthest = -1 if self.ahead is None else int(self.ahead.max(initial=-1))
         return max(len(self.beyond), farthest + 1)
 

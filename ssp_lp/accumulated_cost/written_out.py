@@ -240,7 +240,7 @@ class OpenEnded(ChargedLayers):
         return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """Return None: the caller finds pairs that lead nearer to the goal on the process."""
+        """Return None: the caller then searches for pairs that lead nearer to the goal."""
         return
 
     @cached_property
@@ -258,7 +258,7 @@ class OpenEnded(ChargedLayers):
 
     @property
     def is_settled(self) -> bool:
-        """Whether the charge is affine from the cap on."""
+        """Whether the charge is affine at the cap and beyond."""
         return bool(self.totals.values[-1] >= (self.charge.settled or 0.0))
 
     @cached_property
@@ -348,7 +348,7 @@ class LastLayer:
         return self.layered.policy(np.tile(choice, self.layered.cap + 1))
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """Return None: the caller finds pairs that lead nearer to the goal on the process."""
+        """Return None: the caller then searches for pairs that lead nearer to the goal."""
         return
 
 

@@ -204,7 +204,7 @@ class ModelSimulator:
 
     @cached_property
     def _stated(self) -> tuple[IntArray, FloatArray]:
-        """State before the product, for each state, [states]; and cost, for each outcome."""
+        """For each state, its state in the original model; for each outcome, its original cost."""
         model, stated = self.model, self.model if self.stated is None else self.stated
         state: IntArray = np.arange(model.n_states)
         outcome: IntArray = np.arange(model.n_outcomes)
@@ -215,7 +215,7 @@ class ModelSimulator:
 
     @cached_property
     def _sums(self) -> FloatArray:
-        """Cumulative sums of the outcomes' probabilities, from 0 on, [outcomes + 1]."""
+        """Cumulative sums of the outcomes' probabilities, beginning with 0, [outcomes + 1]."""
         return np.append(0.0, np.cumsum(self.model.probabilities))
 
 

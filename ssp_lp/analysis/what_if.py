@@ -1,4 +1,4 @@
-"""Sensitivity: derivatives of the optimum by the numbers of a problem.
+"""Sensitivity: derivatives of the optimum by a problem's probabilities, costs and bounds.
 
 By the envelope theorem the derivative of the optimum is the derivative of the Lagrangian at an
 optimal lottery and optimal prices. Let x be the expected number of times that the lottery takes a
@@ -82,7 +82,7 @@ def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, fl
 
 
 def _opens(numbers: FloatArray, slopes: Mapping[int, float]) -> bool:
-    """Return whether a number that is 0 rises."""
+    """Return whether a change with these slopes raises one of the numbers that are 0."""
     return any(slope > 0.0 == numbers[place] for place, slope in slopes.items())
 
 
@@ -175,7 +175,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Effect:
-    """Derivatives of the optimum by a number, to the left and to the right."""
+    """Derivatives of the optimum by one number of the problem, to the left and to the right."""
 
     number: Number
     left: float | None  # None: see the note
@@ -731,7 +731,7 @@ def _facts(model: SSP) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WhatIf(Report):
-    """Derivatives of an optimum by the numbers of its problem, the most important first.
+    """Derivatives of an optimum by its problem's numbers, the most important first.
 
     The importance of a number is its derivative times its size (for a probability p: min(p, 1 -
     p)). Numbers that are not listed belong to actions that are not optimal: a slight change of them
@@ -967,10 +967,10 @@ def _check_criterion(problem: Problem) -> None:
 
 
 def _numbers(problem: Problem, optimum: _Optimum) -> Iterator[Number]:
-    """Yield the numbers of a problem that may affect its optimum.
+    """Yield the :class:`Number` objects of a problem that may affect its optimum.
 
-    They are parameters of the model, bounds, probabilities of the start, and numbers of optimal
-    actions.
+    They are parameters of the model, bounds, probabilities of the start, and the probabilities and
+    costs of optimal actions.
     """
     model = problem.model
     for parameter, placed in model.parameters.items():

@@ -75,9 +75,9 @@ class LayeredPricing(PricingProblem):
     def incumbent(self, reached: Any) -> Column | None:
         """Return the column of a backward sweep that was stopped, or None.
 
-        The sweep has solved all layers from some layer on. Followed from the start, the policy of
-        these layers is optimal at a lower price of failure: the price of the sweep minus the total
-        of the first solved layer. The result is None if the charge is not the cost itself.
+        The sweep has solved the last layers. Followed from the start, the policy of these layers is
+        optimal at a lower price of failure: the price of the sweep minus the total of the first
+        solved layer. The result is None if the charge is not the cost itself.
         """
         if not isinstance(reached, PartOfSweep) or reached.layer == self.process.cap:
             return None
@@ -111,7 +111,7 @@ class LayeredPricing(PricingProblem):
 
         Args:
             layer: the layer of ``swept`` that becomes the first one.
-            swept: the column of a sweep; its choice is known from ``layer`` on.
+            swept: the column of a sweep; its choice is known in ``layer`` and all later layers.
             measures: cost, failure and goal of the result, [3]; None: they are computed.
         """
         if layer == 0 and swept.by_layer is not None:
@@ -158,8 +158,8 @@ class LayeredPricing(PricingProblem):
         Args:
             column: a column that ``minimise`` or ``beside`` returned.
             failure: the failure probability.
-            tried: numbers of layers of the policies returned before, which are not returned again;
-                updated.
+            tried: layer counts of the policies that were returned earlier, which are not returned
+                again; updated.
             above: whether the policy fails more often than ``failure``, rather than less often.
         """
         swept = column.swept or column
@@ -607,7 +607,7 @@ class CompiledLayered(CompiledProblem):
         return replace(self, cap=wanted, tails=tails)
 
     def charging(self, charge: Charge, cap: float | None = None) -> CompiledLayered:
-        """Return the problem with another charge and cap; neither charge may be exponential."""
+        """Return the problem with another charge and cap; not for exponential utilities."""
         return replace(self, charge=charge, cap=cap)
 
     def safest(self) -> CompiledLayered:

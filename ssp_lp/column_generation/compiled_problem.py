@@ -574,7 +574,7 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def may_be_rare(self) -> bool:
-        """Whether success may be rare, so that counting it instead of failure is more precise."""
+        """Whether success may be rare: then counting success, not failure, is more precise."""
         is_greatest = self.semantics.aim is Aim.GREATEST_GOAL and self.objective is None
         is_free = self.ratio and self.budget is not None and self._demanded == 0.0
         return (is_greatest or is_free) and not self.by_goal

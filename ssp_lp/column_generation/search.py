@@ -61,7 +61,7 @@ _NEVER = 1e-14  # a goal probability this small is a rounded 0
 
 @dataclass(frozen=True, eq=False)
 class Generated:
-    """Result of column generation: the best lottery, a lower bound, and the prices that give it."""
+    """Result of column generation: the best lottery, a lower bound, and its prices."""
 
     columns: tuple[Column, ...]
     weights: FloatArray  # [columns]
@@ -629,7 +629,7 @@ def without_negligible_prices(
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows that have a bound: their positions among the rewards, bounds and scales."""
+    """The rows that have a bound: for each its bound, scale, and position among the rewards."""
 
     index: IntArray  # [rows] position among the pricing problem's rewards
     bounds: FloatArray  # [rows]

@@ -261,7 +261,7 @@ class _Loops:
         self.cached.discard(loop)
 
     def _record(self) -> None:
-        """Add this process's numbers of entries to those of all processes, and read the result.
+        """Add this process's counts of entries to those of all processes, and read the result.
 
         The record is a file beside numba's cache; an unreadable file counts as empty. If the file
         cannot be written, only this process's entries count. If two processes write at the same

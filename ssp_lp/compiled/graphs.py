@@ -284,7 +284,7 @@ def _search_components(
         indices: successors, [entries].
         data: entries of 0 are no edges, [entries].
         label: written: component of each state, [states].
-        number: order in which states were found, from 1 on; 0: not yet found; ``_CLOSED``: the
+        number: order in which states were found, counted from 1; 0: not yet found; ``_CLOSED``: the
             state has a component, [states].
         low: for each state the least ``number`` of an open state that it reaches, [states].
         place: next entry to follow of each state, [states].

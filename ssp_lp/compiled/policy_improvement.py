@@ -296,7 +296,7 @@ def reach_in_order(
     offsets: Array, bounds: Array, successors: Array, probabilities: Array, goals: Array,
     epsilon: float, begin: int, end: int, decision: Array, values: Array,
 ) -> bool:  # fmt: skip
-    """Compute the greatest goal probabilities, the last state first, if each step leads to a later.
+    """Compute the greatest goal probabilities if each step leads to a later state, the last first.
 
     Args:
         offsets: pairs of each state, [states + 1].
@@ -305,8 +305,8 @@ def reach_in_order(
         probabilities: [outcomes].
         goals: mask of the goals, [states].
         epsilon: the machine epsilon.
-        begin: number of states at the end that are done.
-        end: number of states at the end that are to be done.
+        begin: number of states, from the last one, that are finished already.
+        end: number of states, from the last one, that must be finished.
         decision: written: a best pair of each state, -1 where there is none, [states].
         values: written: probabilities of the goal and of missing it under these decisions, an upper
             bound of the greatest of the former, and a lower bound of the least of the latter,

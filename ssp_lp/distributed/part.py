@@ -123,8 +123,8 @@ def made_part(
     Args:
         ranks: all ranks.
         rows: returns the rows of a range of states.
-        goals: numbers of the goal states, ascending.
-        sets: numbers of the states of each named set.
+        goals: indices of the goal states, ascending.
+        sets: indices of the states of each named set.
         bounds: first state of each rank, and the end, [ranks + 1].
 
     Raises:

@@ -109,8 +109,8 @@ class PartitionedModel:
             rows: ``rows(first, end)`` returns the rows of the states first .. end - 1, as arrays;
                 each rank calls it for samples of a few states, then for its own states.
             n_states: number of states.
-            goal_states: numbers of the goal states, which have no actions.
-            state_labels: names for sets of states, each given by the numbers of its states.
+            goal_states: indices of the goal states, which have no actions.
+            state_labels: names for sets of states, each given by the indices of its states.
             bounds: first state of each rank, and the end, [ranks + 1]; None: outcomes are balanced.
 
         Raises:

@@ -344,7 +344,7 @@ class PartitionedProcess(PricingProblem):
         return full[:n]
 
     def _leaving_equations(self, choice: IntArray, values: FloatArray) -> _Equations:
-        """Set up the equations of a policy; ``_leaving`` replaces it where runs would never end."""
+        """Set up the equations of a policy, replaced by ``_leaving`` where runs would never end."""
         equations = _Equations(self, choice, values)
         closed = ~equations.leading(equations.moves.exits > 0.0)
         if not self.ranks.any(closed):
@@ -366,7 +366,7 @@ class PartitionedProcess(PricingProblem):
         return np.where(lost, self._exits, choice).astype(np.int32)
 
     def _staying(self, choice: IntArray) -> IntArray:
-        """Return the policy without giving up in free components from which it can go on.
+        """Return the policy without giving up in components of cost 0 from which it can go on.
 
         There giving up is replaced by a pair that moves within the component.
 

@@ -105,11 +105,11 @@ class Ranks:
             raise
 
     def total(self, own: npt.ArrayLike) -> Any:
-        """Return the sums of numbers over all ranks, the same on each."""
+        """Return the sum of each number over all ranks; every rank gets the result."""
         return self._reduced(own, self.mpi.SUM)
 
     def greatest(self, own: npt.ArrayLike) -> Any:
-        """Return the maxima of numbers over all ranks, the same on each."""
+        """Return the maximum of each number over all ranks; every rank gets the result."""
         return self._reduced(own, self.mpi.MAX)
 
     def any(self, own: Any) -> bool:
@@ -117,7 +117,7 @@ class Ranks:
         return bool(self.greatest(float(np.any(own))) > 0.0)
 
     def _reduced(self, own: npt.ArrayLike, operation: Any) -> Any:
-        """Return numbers combined over all ranks by an operation of MPI."""
+        """Combine each number over all ranks by an operation of MPI."""
         found = np.array(own, dtype=np.float64)
         self.comm.Allreduce(self.mpi.IN_PLACE, found, op=operation)
         return found
@@ -136,7 +136,7 @@ class Halo:
         Args:
             ranks: all ranks.
             n_own: number of own states; states are numbered from rank to rank.
-            ghosts: numbers of states of other ranks.
+            ghosts: indices of states of other ranks, in the whole model.
         """
         self.ranks, self.n_own, self.ghosts = ranks, n_own, ghosts
         ends = np.cumsum(ranks.comm.allgather(n_own))

@@ -402,7 +402,7 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
     factors = factorised(system, in_order=order is not None)
 
     def solve(right: FloatArray) -> FloatArray:
-        """Return the totals for a right side, in its shape, refined once."""
+        """Return the totals for a right side, in the shape of ``right``, refined once."""
         ordered = right if order is None else right[order]
         solution = factors.solve(ordered)
         solution = solution + factors.solve(ordered - system @ solution)
@@ -435,7 +435,7 @@ def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width:
         raise SolverError(HOLDS_MASS)
 
     def solve(right: FloatArray) -> FloatArray:
-        """Return the totals for a right side, in its shape."""
+        """Return the totals for a right side, in the shape of ``right``."""
         ordered = right[order]
         solve_eliminated(*band, ordered, size)
         return _solved_in_place(ordered, order)

@@ -269,7 +269,7 @@ def lowered_to_backups(
         return not shortfall(dynamics, pair_cost, lowered).any()
 
     def shrunk(share: float) -> FloatArray:
-        """Return the values moved towards the floor by a share."""
+        """Return the values, moved towards ``floor`` by a share of their distance."""
         return np.asarray(floor + (1.0 - share) * (values - floor))
 
     if floor == 0.0 and len(values) > _LARGE and passes(lowered := shrunk(IMPROVEMENT)):

@@ -73,7 +73,7 @@ class System:
         self._reductions: dict[int, tuple[sp.csr_array, Solver]] = {}
 
     def __reduce__(self) -> tuple[type[System], tuple[sp.csr_array, FloatArray]]:
-        """Return what a copy or pickle needs: the copy computes factors again."""
+        """Return the constructor with its arguments, for copies and pickles without factors."""
         return System, (self.matrix, self.exits)
 
     @property

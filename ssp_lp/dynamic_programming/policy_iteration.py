@@ -177,7 +177,7 @@ def howard_rounds(
         dynamics: the process.
         rewards: [pairs, rewards].
         weights: [rewards].
-        latest: list with the first policy, which is replaced by the last policy evaluated.
+        latest: list with the first policy; each policy that is evaluated replaces the entry.
         totals: approximate totals of the first policy, [states, rewards].
         floor: gain of a step that counts as 0, in units of the values.
 
@@ -258,7 +258,7 @@ class _Evaluation:
         """Evaluate a policy, and return the number of passes over its chain.
 
         Raises:
-            SolverError: the policy is worse than the last one.
+            SolverError: the policy is worse than the one evaluated before.
         """
         self._is_iterated = not system.is_solved_exactly
         self._is_exact = not self._is_iterated or self._accuracy <= EXACT
@@ -298,7 +298,7 @@ class _Evaluation:
         return better
 
     def totals_of(self, system: System, choice: IntArray) -> FloatArray:
-        """Return the exact totals of the last policy, [states, rewards]."""
+        """Return the exact totals of the policy that was evaluated last, [states, rewards]."""
         if self._is_evaluated and self.totals is not None:
             return self.totals
         return system.solve(self.rewards[choice], self.totals)

@@ -152,7 +152,7 @@ class Equilibrium(Mixture):
 
     @property
     def origin(self) -> float:
-        """Origin from which J_cond is counted."""
+        """Origin from which J_cond is counted: 1 if the goal is hardly ever reached, else 0."""
         return self.minus.origin
 
     @property
@@ -195,10 +195,10 @@ def play(
 ) -> Equilibrium:
     """Find the equilibrium of a game: the adversary's alpha* and two policies of equal payoff.
 
-    The payoffs of two policies are lines in alpha. The point where the lines cross bounds the
-    maximum of the concave ``J*(alpha)`` from above. The best response at this alpha replaces one of
-    the two policies. The search ends when the best response's payoff is no longer below the
-    crossing (paper, sections 3.2 and 3.4).
+    The payoffs of two policies are lines in alpha. Their value where they cross is an upper bound
+    of the maximum of the concave ``J*(alpha)``. The best response at this alpha replaces one of the
+    two policies. The search ends when the best response's payoff is no longer below the crossing
+    (paper, sections 3.2 and 3.4).
 
     Args:
         player: finds best responses, such as ``stationary_player(problem)``.

@@ -113,8 +113,8 @@ def find_threshold(
         player: finds best responses.
         budget: epsilon.
         share: 1 in case M, 1 - epsilon in case S.
-        previous: responses found before, which include those of ``extremes``. If all of them exceed
-            the budget, the excess is due to rounding, and their least failure replaces the budget.
+        previous: responses of earlier searches and of ``extremes``. If all of them exceed the
+            budget, the excess is due to rounding, and their least failure replaces the budget.
         room: the budget minus the responses' origin, if known more accurately than this difference.
         tolerance: relative width of the bracket to reach.
         progress: called after each game with (responses, price of failure, upper end).
@@ -273,8 +273,8 @@ def construct(kind: type[Player], problem: Problem, tail: float | None = None) -
 
     Args:
         kind: the class; ``BayesPlayer`` leaves J_obj undiscounted.
-        problem: states the case, the start and the discount (paper, section 3.1).
-        tail: in case S the total cost M from which on pi'_or is followed (section 3.5.1), or None.
+        problem: gives the case, the start and the discount (paper, section 3.1).
+        tail: in case S the total cost M at which pi'_or takes over (section 3.5.1), or None.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
@@ -338,7 +338,7 @@ def find_optimum(
     policy attains it.
 
     Args:
-        problem: states the case and the budget.
+        problem: gives the case and the budget.
         player: a player of the same case.
         tolerance: relative distance between c* and its lower bound to reach.
         progress: called after each game with (responses, price of failure, upper end).
@@ -431,7 +431,7 @@ def stationary_player(problem: Problem, tail: float | None = None) -> Player:
     """Build the player of the stationary game, with the operator T_alpha of the problem's case.
 
     Args:
-        problem: states the case, the start and the discount.
+        problem: gives the case, the start and the discount.
         tail: in case S the total cost M of section 3.5.1: once M is paid, pi'_or is followed, and
             J_obj is no longer discounted. None: M grows until the optimum no longer depends on M.
 
@@ -486,7 +486,7 @@ def thresholds(
     """Compute c* of each epsilon' separately: the curve that Theorem 3-1 minimises in case S.
 
     Args:
-        problem: states the case, the start and the discount. Its own failure budget must be above 0
+        problem: gives the case, the start and the discount. Its own failure budget must be above 0
             but has no effect.
         budgets: each at least the least discounted failure, and in case S below 1.
         tail: the M of section 3.5.1, as in :func:`stationary_game`.

@@ -608,7 +608,7 @@ class BayesPlayer(Player):
 
     @cached_property
     def stationary(self) -> Player:
-        """The player of section 3.5, whose game bounds the Bayesian one from below."""
+        """The player of section 3.5; the value of its game is a lower bound of the Bayesian one."""
         return Player(self.base, self.counts_total, self.start_cost)
 
     @cached_property

@@ -692,7 +692,7 @@ def fingerprint(model: SSP) -> str:
 
 @kept
 def pair_print(model: SSP) -> str:
-    """Return the SHA-256 of the numbers of actions of all states.
+    """Return the SHA-256 of the list that says how many actions each state has.
 
     A policy can be loaded on a model only if these numbers are those of its own model.
     """

@@ -71,7 +71,7 @@ class EnvironmentSSP(SSP):
 
     @cached_property
     def ends(self) -> frozenset[Hashable]:
-        """States of the environment in which only some steps terminate."""
+        """States of the environment in which an episode ends after some steps, not after all."""
         return frozenset(
             label[1] for label in self.states if isinstance(label, tuple) and label[0] == END
         )

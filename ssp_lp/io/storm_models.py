@@ -246,11 +246,11 @@ def from_stormpy(
     """Convert a sparse model of Storm, a Markov decision process or Markov chain, to an SSP.
 
     The cost of an outcome is the sum of Storm's rewards of its state, its action and its
-    transition, added as decimals. Actions have the labels of choices, states the values of their
-    variables, if the model was built with them; otherwise both are numbers. Actions of goal states
-    are dropped. A state with the label "deadlock" that no action leaves becomes a dead-end without
-    actions. Other labels of states become ``state_labels``, except for names that reports use
-    already, and conditions that were passed to Storm: "(x = 2)".
+    transition, added as decimals. Actions are named by the labels of choices, and states by the
+    values of their variables, if the model was built with them; otherwise both are numbers. Actions
+    of goal states are dropped. A state with the label "deadlock" that no action leaves becomes a
+    dead-end without actions. Other labels of states become ``state_labels``, except for names that
+    reports use already, and conditions that were passed to Storm: "(x = 2)".
 
     Args:
         model: such as ``stormpy.build_model(program)``; its numbers are floats.

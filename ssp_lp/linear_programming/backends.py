@@ -107,7 +107,7 @@ def answers_in_turn(
 ) -> Iterator[LPAnswer]:
     """Yield unchecked answers of one LP backend after another.
 
-    If the time ends before an answer, the last one has nan values.
+    If the time ends before a backend has answered, the last answer yielded has nan values.
 
     Args:
         program: the program.

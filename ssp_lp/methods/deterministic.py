@@ -194,7 +194,7 @@ class _PolicySearch:
                 self.best = Answer(policy, value, self.best.bound, found.failure)
 
     def is_closed(self, bound: float) -> bool:
-        """Return whether a node of this lower bound has no policy better than the incumbent."""
+        """Return whether a node with this lower bound has no policy better than the incumbent."""
         return relative_gap(self.best.value, bound) <= self.tolerance
 
 
@@ -377,9 +377,9 @@ class _Tree:
         The search ends if the result equals ``price``.
 
         Args:
-            price: the price of the last step.
-            inside: the last column that satisfies the budget, or None.
-            outside: the last column that violates it, or None.
+            price: the price that was tried last.
+            inside: the latest column that satisfies the budget, or None.
+            outside: the latest column that violates the budget, or None.
         """
         row, least = self.row, _LEAST_PRICE * self.price
         if inside is None:
@@ -530,7 +530,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
         free[: len(merged)] = merged
 
         def measure(choice: IntArray) -> list[Column]:
-            """Return one column, the choice evaluated exactly."""
+            """Return a list with one column: the choice, evaluated exactly."""
             return [labelled.explicit_pricing.measure(choice.astype(np.int32))]
 
     else:

@@ -117,7 +117,7 @@ def trace_frontier(
     progress: Callable[[int, int], None] | None = None,
     verbose: bool = False,
 ) -> Frontier:
-    """Trace the least objective as a function of a budget, from the least feasible budget on.
+    """Trace the least objective as a function of a budget that rises from the least feasible one.
 
     The frontier ends where a larger budget no longer lowers the objective. There the price of
     failure is 0 in case M, and equals the objective in case S. Over the failure budget alone, the

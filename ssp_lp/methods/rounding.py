@@ -634,7 +634,7 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solution]:
-    """Yield, for each unit, the best policy by costs rounded up so far, and the best bound."""
+    """Yield, for each unit, the best policy so far (costs rounded up), and the best bound."""
     best, semantics, risk = None, problem.semantics, problem.semantics.risk
     sign = -1.0 if semantics.maximises else 1.0
     bound, span = worth_bound(problem), span_of_totals(problem)
@@ -666,7 +666,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
 
 
 def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> Iterator[Proved]:
-    """Yield the best bound by costs rounded down so far, for each of finer and finer units."""
+    """Yield, for finer and finer units, the best bound so far (costs rounded down)."""
     sign, bound = -1.0 if problem.semantics.maximises else 1.0, worth_bound(problem)
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
         proved, allowed = lattice_bound(problem, unit, rough)

@@ -146,7 +146,7 @@ class Grid:
 
     @cached_property
     def strides(self) -> tuple[int, ...]:
-        """Difference between the numbers of neighbouring cells along each axis."""
+        """Difference between the indices of neighbouring cells along each axis."""
         return tuple(math.prod(self.shape[k + 1 :]) for k in range(len(self.axes)))
 
     @explained
@@ -542,8 +542,7 @@ def _read_world(
     cost = _shaped_answer(paid, shape, "the cost").astype(np.float64, copy=False)
     end = _shaped_answer(ended, shape, "the end")
     if end.dtype.kind not in "biu":
-        ends = "0 (goes on), 1 (goal), 2 or more (dead-end)"
-        raise ModelError(f"step() must return ends as whole numbers: {ends}")
+        raise ModelError("step(): ends are whole numbers: 0 (goes on), 1 (goal), >= 2 (dead-end)")
     return coordinates, cost, end
 
 
@@ -584,7 +583,7 @@ class WorldSimulator:
     start: Sequence[float | Distribution]
 
     def __post_init__(self) -> None:
-        """Raise :class:`ModelError` for another type, or a wrong number of start coordinates."""
+        """Raise :class:`ModelError` for a wrong type, or unless each axis has a start value."""
         check_fields(self)
         axes = self.world.grid.axes
         if len(self.start) != len(axes):

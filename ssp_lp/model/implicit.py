@@ -130,7 +130,7 @@ class Exploration:
         The next state is that with the least sum of the cost of its path and its cost bound.
 
         Args:
-            wanted: numbers of states.
+            wanted: indices of states.
             most: number of expanded states at which to stop.
         """
         self._expand(wanted)
@@ -338,7 +338,7 @@ class Exploration:
         """Return the actions "arrive" and "fail" of each state of the fringe.
 
         Args:
-            fringe: numbers of the states of the fringe, which follow the expanded states.
+            fringe: indices of the states of the fringe, which follow the expanded states.
             n_expanded: number of expanded states.
             survival: discount factor, by which the cost bound is multiplied.
             names: names of the costs.

@@ -122,7 +122,7 @@ def _factor(value: float) -> float:
 
 @dataclass(frozen=True)
 class PlacedParameter:
-    """A parameter of a model: its value, and the derivatives of probabilities and costs by it."""
+    """A parameter of a model: its value, and the derivatives of the model's data by it."""
 
     value: float
     probabilities: dict[int, float] = field(default_factory=dict, repr=False)  # by outcome

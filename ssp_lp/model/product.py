@@ -363,7 +363,7 @@ def product(
     """
     check_model(model, "product")
     if not isinstance(memory, Memory):
-        raise ModelError(f"product takes a Memory after the model, not {memory!r}")
+        raise ModelError(f"product() takes a Memory after the model, not {memory!r}")
     check_whole("state_limit", state_limit)
     numbers, failing = dict[Hashable, int](), list[bool]()  # of memories, in the order of finding
     pair_of, names = segment_ids(model.outcome_offsets), model.states
@@ -593,7 +593,7 @@ def within_steps(
 
 @with_twin
 def _unrolled(model: SSP, steps: int, begin: IntArray) -> tuple[IntArray, IntArray, dict[str, Any]]:
-    """Return what :func:`unfold` does for a memory that counts steps; steps + 1: out of time."""
+    """Return the result of :func:`unfold` with steps as memory; ``steps + 1``: out of time."""
     acting = np.diff(model.pair_offsets) > 0
     if accelerated(steps * model.n_outcomes, "graphs.find_layers", "graphs.fill_layers"):
         from ssp_lp.compiled.graphs import unroll
@@ -605,7 +605,7 @@ def _unrolled(model: SSP, steps: int, begin: IntArray) -> tuple[IntArray, IntArr
         return state, count, copied_parts(model, *parts)
 
     def after(before: IntArray, outcomes: IntArray) -> IntArray:
-        """Return the numbers of steps after outcomes, [entries]."""
+        """Return the count of steps after each outcome, [entries]."""
         if not (before == steps - 1).any():
             return before + 1
         return np.asarray(before + 1 + acting[model.successors[outcomes]])  # all of one round

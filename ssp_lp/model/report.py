@@ -63,7 +63,7 @@ class Table:
         ]
 
     def _cell(self, name: str, value: Any) -> str:
-        """Return the text of a value of the column, or of the fact, with this name."""
+        """Return the text of a value; ``name`` is the name of its column or fact."""
         if value is None or value != value:
             return "-"
         if isinstance(value, float):

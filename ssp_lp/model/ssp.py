@@ -928,7 +928,7 @@ def check_model(model: object, verb: str) -> None:
         ModelError: it is no model.
     """
     if not isinstance(model, SSP):
-        raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{holder_of(model, SSP)}")
+        raise ModelError(f"{verb}() takes an SSP, not {in_short(model)}{holder_of(model, SSP)}")
 
 
 class FlatModel:
@@ -1193,7 +1193,7 @@ def check_offsets(name: str, offsets: IntArray, end: int) -> None:
 
 
 def _check_numbers(model: SSP, numbers: FloatArray, what: str, remedy: str = "") -> None:
-    """Raise :class:`ModelError` unless the numbers of a model's outcomes are finite and >= 0."""
+    """Raise :class:`ModelError` unless all values, one per outcome, are finite and >= 0."""
     _refuse_outcomes(model, np.isnan(numbers), f"has a {what} that is NaN")
     _refuse_outcomes(model, numbers < 0, f"has a negative {what}{remedy}")
     _refuse_outcomes(model, np.isinf(numbers), f"has an infinite {what}")

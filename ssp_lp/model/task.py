@@ -391,7 +391,7 @@ def reach(model: SSP, goal: Task, *, start: Iterable[Hashable]) -> TrackedSSP:
     """
     check_model(model, "reach")
     if not isinstance(goal, Task):
-        raise ModelError(f"reach takes task('F key') after the model, not {in_short(goal)}")
+        raise ModelError(f"reach() takes task('F key') after the model, not {in_short(goal)}")
     begin = np.array([model.index_of(s) for s in no_lone_string(start, "start")], dtype=np.int64)
     automaton, ends = goal.followed(model)
     for state in begin[ends[0, begin]].tolist():

@@ -110,7 +110,7 @@ def explore(
     """
     check_whole("episodes", episodes, 0)
     if not isinstance(frontier, Frontier) or frontier.problem is None:
-        message = f"explore takes a frontier of a problem, not {in_short(frontier)}"
+        message = f"explore() takes a frontier of a problem, not {in_short(frontier)}"
         raise ModelError(f"{message}; trace_frontier(problem) makes one")
     if path is not None:
         _check_page_name(path)

@@ -128,7 +128,7 @@ class TimedPolicy(_Carried):
         return self.joined(self.inner.start_memory(states), 0)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        """Return the decisions in each situation, taken from the stage that the memory names."""
+        """Return the decisions in each (state, memory), taken by the stage in the memory."""
         inner, stage = self.split(memory)
         parts = []
         for number in np.unique(np.append(stage, 0)):
@@ -511,7 +511,7 @@ class CompletePolicy(_Carried):
         return listed[acting[listed]]
 
     def start_memory(self, states: IntArray) -> IntArray:
-        """Return the initial memory, [episodes]: the inner policy's, or 2 where it cannot begin."""
+        """Return 3 times the inner policy's initial memory, or 2 where it has none, [episodes]."""
         memory, begins = np.full(len(states), 2), self.inner.begins(states)
         memory[begins] = 3 * self.inner.start_memory(states[begins])
         return memory

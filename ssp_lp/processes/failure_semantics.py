@@ -110,7 +110,7 @@ class FailureSemantics:
         return cast("CostQuantileOf | TailMeanOf", self.measure)
 
     def worth_of(self, law: CostLaw) -> float:
-        """Return the measure, or without one the mean, of a law of the costs of successful runs."""
+        """Return the measure (the mean, if there is none) of a law of costs of successful runs."""
         return law.conditional_mean if self.measure is None else self.measure.of(law)
 
     @property

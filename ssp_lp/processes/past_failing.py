@@ -1,9 +1,9 @@
 """Quantities that go on counting after failing, and the larger model that is needed for them.
 
-Failing ends the cost, not the run (mathematics, section 2). A quantity may count events after a
-dead-end is entered or a policy gave up: an end, or steps or visits with ``through_failure``. Then
-the problem is restated on the product of the model with a failure label: each state exists before
-and after failing. Otherwise the model is not changed.
+After failing, costs are not counted, but the run goes on (mathematics, section 2). A quantity may
+count events after a dead-end is entered or a policy gave up: an end, or steps or visits with
+``through_failure``. Then the problem is restated on the product of the model with a failure label:
+each state exists before and after failing. Otherwise the model is not changed.
 """
 
 from __future__ import annotations

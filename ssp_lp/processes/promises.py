@@ -200,7 +200,7 @@ def holds(task: Task) -> Quantity:
         ModelError: not a task.
     """
     if not isinstance(task, Task):
-        raise ModelError(f"holds takes a task, such as task('F key'), not {in_short(task)}")
+        raise ModelError(f"holds() takes a task, such as task('F key'), not {in_short(task)}")
     return Quantity(((1.0, _Traces(task)),))
 
 
@@ -208,7 +208,7 @@ def _promise(verb: str, quantity: Quantity, bound: float, *, passes: bool) -> Qu
     """Return the quantity of :func:`within` or, if ``passes``, of :func:`exceeds`, after checks."""
     if not isinstance(quantity, Quantity):
         hint = "a quantity first, such as secondary_cost('fuel')"
-        raise ModelError(f"{verb} takes {hint}, not {in_short(quantity)}")
+        raise ModelError(f"{verb}() takes {hint}, not {in_short(quantity)}")
     if not is_number(bound) or not (isfinite(bound) and bound >= 0.0):
         raise ModelError(f"the bound of {verb} must be a number >= 0, not {in_short(bound)}")
     return Quantity(((1.0, _Total(quantity, float(bound), passes)),))

@@ -85,7 +85,7 @@ class _Ends:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _ArrivalCosts:
-    """A charge at the goal: a function of the total cost that is affine from ``affine_from`` on."""
+    """A charge at the goal: a function of the total cost that is affine above ``affine_from``."""
 
     function: Callable[[FloatArray], FloatArray]
     affine_from: float
@@ -294,10 +294,10 @@ def visits(*states: Hashable, through_failure: bool = False) -> Quantity:
 def end_probability(*ways: Hashable) -> Quantity:
     """Return the quantity "probability that an episode ends in one of some ways".
 
-    Failing ends the cost, not the run: from a dead-end with actions, and from a state where the
-    policy gave up, the run continues to its true end (mathematics, section 2). The true end is the
-    goal, the first dead-end with one of the names used in the problem, or else the place where the
-    run can go no further.
+    After failing, costs are not counted, but the run goes on: from a dead-end with actions, and
+    from a state where the policy gave up, it continues to its true end (mathematics, section 2).
+    The true end is the goal, the first dead-end with one of the names used in the problem, or else
+    the place where the run can go no further.
 
     Args:
         ways: "goal", a label of dead-ends, "dead_end" (without a label), as in the ``ends`` of
@@ -348,7 +348,7 @@ def _check_quantity_names(verb: str, names: tuple[object, ...]) -> None:
     """Check that names are given one by one; else raise :class:`ModelError`."""
     for name in names:
         if not isinstance(name, Hashable):
-            raise ModelError(f"{verb} takes names one by one, {verb}('a', 'b'), not {name!r}")
+            raise ModelError(f"{verb}() takes names one by one, {verb}('a', 'b'), not {name!r}")
 
 
 def _quantity_number(value: object) -> float:

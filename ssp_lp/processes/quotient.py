@@ -108,7 +108,7 @@ class Quotient:
         return live[np.unique(self.node_of[live], return_index=True)[1]]
 
     def split(self) -> Quotient:
-        """Return the quotient in which each live state is a node of its own, with all its pairs."""
+        """Return the quotient with a node for each state (no goal or dead-end), and all pairs."""
         live, none = self.node_of >= 0, np.zeros_like(self.merged)
         kept, gives_up = self.inside.copy(), np.zeros(self.n_nodes, dtype=np.bool_)
         kept[self.pair_at[self.pair_at >= 0]] = True

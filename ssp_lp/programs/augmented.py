@@ -93,12 +93,12 @@ class Augmented(ABC):
 
     @property
     def copies(self) -> int:
-        """Number of copies of the live part."""
+        """Number of copies of the model without goals and dead-ends."""
         return 1
 
     @property
     def quotient(self) -> Quotient:
-        """The nodes and pairs of the live part; end components of cost 0 may be merged."""
+        """Nodes and pairs of one copy; end components of cost 0 may be merged."""
         return self.live.quotient
 
     @abstractmethod

@@ -74,7 +74,6 @@ class _ScaledExpression:
         return other.scaled if isinstance(other, _ScaledExpression) else other * self._scale
 
     def __add__(self, other: Any) -> _ScaledExpression:
-        """Return the sum."""
         return _ScaledExpression(self.scaled + self._other(other), self._scale)
 
     def __mul__(self, factor: Any) -> _ScaledExpression:
@@ -84,15 +83,12 @@ class _ScaledExpression:
     __radd__, __rmul__ = __add__, __mul__
 
     def __neg__(self) -> _ScaledExpression:
-        """Return the negative."""
         return self * -1.0
 
     def __sub__(self, other: Any) -> _ScaledExpression:
-        """Return the difference."""
         return _ScaledExpression(self.scaled - self._other(other), self._scale)
 
     def __rsub__(self, other: Any) -> _ScaledExpression:
-        """Return the difference."""
         return _ScaledExpression(self._other(other) - self.scaled, self._scale)
 
     def __le__(self, bound: Any) -> Any:

@@ -295,7 +295,7 @@ def _check_bounds(solution: Solution) -> None:
 
 
 def _within(lottery: MixedPolicy) -> MixedPolicy:
-    """Return a lottery whose deterministic members have no decisions in fringe states."""
+    """Return a lottery without decisions of deterministic members in states not expanded."""
     members = list[Policy]()
     for member in lottery.policies:
         if isinstance(member, DeterministicPolicy):

@@ -205,8 +205,7 @@ class Statement:
             raise ModelError(f"{_NO_FILE} {type(problem).__name__} with ", *both)
         known = TotalCostCharge, Reward, ExpectedArrivalCost
         if charge is not None and not isinstance(charge, known):
-            name = type(charge).__name__
-            raise _refused(problem, f"its charge, {name}, is not supported{_IN_MEMORY}")
+            raise _refused(problem, f"charge {type(charge).__name__} is not supported{_IN_MEMORY}")
         self.flat, self.charge = problem, charge
         if problem.horizon is not None:
             labels = {**problem.model.state_labels, LATE: np.zeros(0, dtype=np.int64)}
@@ -561,7 +560,7 @@ def _prices(program: Program, solved: Solution, *, is_main: bool) -> list[Fracti
 
 
 def _first_cap(asked: Mapping[str, Any], solved: Solution, scale: Fraction) -> Fraction:
-    """Return the first cap to try: the total cost from which on totals are not distinguished."""
+    """Return the first cap to try: total costs of at least the cap are not distinguished."""
     if not asked["charge"]:
         return Fraction(0)
     cap = max(number(at) for _, at, _, _ in asked["charge"]) + scale

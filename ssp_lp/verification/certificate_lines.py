@@ -138,7 +138,7 @@ def read_proof(lines: Iterator[bytes], *, ratio: bool) -> tuple[Proof, str, int]
 
 
 def in_units(text: Any) -> int:
-    """Return the whole number in a text, a number of the proof's units."""
+    """Convert a text to a whole number, a value in units of the proof."""
     need(number(text).denominator == 1, "no whole number of units:", text)
     return int(number(text))
 

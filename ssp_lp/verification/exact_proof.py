@@ -64,7 +64,7 @@ class _Way(NamedTuple):
 
 
 class Member(NamedTuple):
-    """A deterministic policy of a program, with the numbers of its proof, by node."""
+    """A deterministic policy of a program, with its values in the proof, by node."""
 
     decision: dict[int, int]
     t: dict[int, int]
@@ -329,7 +329,7 @@ def sub_solution(ways: Sequence[_Way], choice: Sequence[int]) -> tuple[Sequence[
 
 
 def _too_high(ways: Sequence[_Way], values: Sequence[int]) -> set[int]:
-    """Return the nodes whose value is too high for the inequality of one of their ways."""
+    """Return the nodes whose value is too high for the inequality of one of their columns."""
     return {node for node, total, outcomes, own in ways
             if values[node] * total > own + sum(a * values[j] for a, j in outcomes)}  # fmt: skip
 

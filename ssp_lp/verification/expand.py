@@ -150,7 +150,7 @@ class Program:
         question: question of a certificate; its entry "failure" is an interval that contains the
             allowed failure probability.
         states: returns the states of the model, from the first one at each call.
-        cap: total cost from which on totals are not distinguished.
+        cap: total costs of at least this number are not distinguished.
         lines: number of nodes for which the proof has a line; it limits the work.
     """
 

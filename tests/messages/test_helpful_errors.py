@@ -174,7 +174,7 @@ def test_what_is_no_rounding_stays_an_error(normalise: bool) -> None:
 
 def test_a_model_is_no_problem_and_a_solution_no_policy() -> None:
     policy = SOLUTION.policy
-    with pytest.raises(ModelError, match=r"solve takes a problem, such as MCMP\(model"):
+    with pytest.raises(ModelError, match=r"solve\(\) takes a problem, such as MCMP\(model"):
         solve(MODEL)  # type: ignore[arg-type]
     for question in (trace_frontier, cross_check):
         with pytest.raises(ModelError, match="takes a problem"):

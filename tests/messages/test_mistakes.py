@@ -194,9 +194,9 @@ def test_a_policy_that_never_succeeds_has_no_cost_given_success():
         (lambda: TimedPolicy((SOLUTION,)), r"pass solution\.policy"),
         (lambda: DeterministicPolicy.from_actions(PROBLEM, {}), r"takes an SSP.*\.model"),
         (lambda: StochasticPolicy.from_actions({}, MODEL), "takes an SSP"),
-        (lambda: product(Memory(0, lambda *step: 0), MODEL), "product takes an SSP"),
+        (lambda: product(Memory(0, lambda *step: 0), MODEL), r"product\(\) takes an SSP"),
         (lambda: product(MODEL, {"key": False}), "takes a Memory after the model"),
-        (lambda: within_steps(3, MODEL), "within_steps takes an SSP"),
+        (lambda: within_steps(3, MODEL), r"within_steps\(\) takes an SSP"),
         (lambda: within_steps(MODEL, 3, start="depot"), "start must be a set of states"),
         (lambda: SSP.from_transitions([1], goal={"home"}), "a model must be"),
         (
@@ -528,7 +528,7 @@ SLIPS = [
     ("load_solution('s.npz', M)", "No such file|problem must be a Problem"),
     ("plot_frontier(S)", "frontier must be a"),
     ("plot_cost_law(S)", "law must be a CostLaw"),
-    ("plot_bounds(BoundsRecord(), P)", "plot_bounds takes a solution"),
+    ("plot_bounds(BoundsRecord(), P)", r"plot_bounds\(\) takes a solution"),
     (
         "plot_lottery(S, P, {'a': (0, 0)}, {})",
         "policy must be a MixedPolicy.*; it has one: .policy",

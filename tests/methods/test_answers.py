@@ -393,7 +393,7 @@ def test_a_sweep_is_every_combination() -> None:
         ({"problems": [TRIES]}, "takes a problem"),
         ({"problems": 3}, "problems must be a list"),
         ({"workers": 0}, "workers must be a whole number >= 1"),
-        ({"workers": 2, "executor": AtOnce()}, "leave out workers or executor"),
+        ({"workers": 2, "executor": AtOnce()}, "leave out workers, or executor"),
         ({"executor": 2}, "executor must be an Executor or None"),
         ({"method": "magic"}, "method must be one of"),
         ({"time_limit": "1"}, "time_limit must be a number of seconds"),

@@ -81,7 +81,7 @@ def parse_json(
 def _explicit_json(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> dict[str, Any]:
-    """Convert a file that lists choices by the number of the state to transitions by name."""
+    """Convert a file of choices, listed by state index, to transitions by state name."""
     if not str(table["format"]).startswith(_EXPLICIT):
         raise ModelError(f"{source}: the format {table['format'][:40]!r} is unknown")
     try:
