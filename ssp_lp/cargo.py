@@ -120,7 +120,7 @@ class Cargo:
         try:
             pickler.dump(thing)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise ModelError(f"the problem cannot be pickled, pass it to solve: {error}") from error
+            raise ModelError(f"the problem cannot be pickled ({error}): use solve") from error
         return stream.getvalue()
 
     def unpack(self, packed: bytes, buffers: Iterable[memoryview] = ()) -> Any:

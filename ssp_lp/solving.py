@@ -47,8 +47,6 @@ from ssp_lp.reductions.rounded_totals import rounded_down, solve_rounded
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities, and of a row relative to its size
-_SHORT = 1.0  # seconds for which an incumbent comes first
-_LARGE = 20_000  # outcomes of a model, from which on
 _SEARCH, _PROOF = logging.getLogger("ssp_lp.search"), logging.getLogger("ssp_lp.proof")
 
 
@@ -119,8 +117,8 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
     with until(options.deadline, prepare=incumbent.find) as deadline:
         with WithIncumbent() as search:
             inner, left = problem.unrolled, options.deadline - time.perf_counter()
-            if left < _SHORT and problem.model.n_outcomes > _LARGE:
-                ensure_incumbent()  # compiling the process may take longer
+            if left < 1.0:  # compiling a large process may take longer
+                ensure_incumbent()
             by_program, by_game = options.program is not None, isinstance(method, Game)
             case = Case(inner, left, by_program, by_game=by_game)
             try:
@@ -140,10 +138,11 @@ def _solved_with_proof(problem: Problem, method: Method, options: SolveOptions) 
             with WithIncumbent():
                 bound = least_failure_bound(inner)
                 solution = replace(solution, least_failure_bound=bound)
-        is_alone = problem.counts_totals and not problem.has_rows
-        if is_alone and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
+        if not problem.has_rows and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
             with WithIncumbent():
-                solution = replace(solution, policy=giving_up_where_lost(solution.policy))
+                policy = giving_up_where_lost(solution.policy)
+                if policy is not solution.policy:
+                    solution = replace(solution, policy=policy)
         if deadline.was_met:
             with WithIncumbent(), closing():
                 solution = incumbent.improving(solution)

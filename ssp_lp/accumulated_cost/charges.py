@@ -44,7 +44,7 @@ def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> Flo
     except (TypeError, ValueError) as error:
         raise ModelError(f"{name} must take an array of costs: {error}") from error
     if worth.shape != costs.shape or not np.isfinite(worth).all():
-        raise ModelError(f"{name} must map an array of costs to as many finite numbers")
+        raise ModelError(f"{name} must return a finite number for each cost of the array")
     return worth
 
 

@@ -172,7 +172,6 @@ def evaluate_each(
     return replace(evaluation, objective=semantics.worth_of(law)), each
 
 
-@explained
 def success_figures(policy: Policy, problem: Problem) -> tuple[float, float, float]:
     """Return E[cost; goal], the failure and the goal probability of a policy, nothing else.
 
@@ -182,16 +181,16 @@ def success_figures(policy: Policy, problem: Problem) -> tuple[float, float, flo
         policy: a policy on the problem's model.
         problem: the problem, in which failing ends a run.
     """
-    start, survival = problem.start_mass, _survivals(problem)[-1]
-    if (measures := layered_measures(policy, problem, start)) is not None:
-        goal, failure, cost = measures.totals[-1, :3].tolist()
-        return cost, failure, goal
-    chain = policy_chain(problem.model, policy, start)
-    _check_giving_up(chain, problem)
-    goal, failure, cost = (float(chain.start @ x) for x in _successes(chain, survival))
-    return cost, min(failure, 1.0), 1.0 if failure == 0.0 else min(goal, 1.0)
+    start = problem.start_mass
+    if (measures := layered_measures(policy, problem, start)) is None:
+        chain = policy_chain(problem.model, policy, start)
+        begun = np.tile(chain.start[:, None] * [1.0, 0.0, 0.0], len(_survivals(problem)))
+        measures = _measures_of(_chain_totals(chain, None, problem, begun), _NO_ENDS)
+    goal, failure, cost = measures.totals[-1, :3].tolist()
+    return cost, failure, goal
 
 
+@explained
 def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
     """Return the law (distribution) of a policy's total cost on the runs that reach the goal.
 
@@ -354,18 +353,20 @@ def _survivals(problem: Problem) -> list[float]:
     return [1.0] if problem.discount is None else [1.0, problem.discount]
 
 
+_NO_ENDS = np.zeros(0)
 _GOAL, _FAILED, _STOPPED = 0, 1, 3
 """Columns of the totals of an evaluation."""
 
 
 def _chain_totals(
-    chain: Chain, counted: BoolArray, problem: Problem, mass: FloatArray
+    chain: Chain, counted: BoolArray | None, problem: Problem, mass: FloatArray
 ) -> FloatArray:
     """Return goal, failure, cost of success and cost until failure, [discounts, 4].
 
     Args:
         chain: the chain.
-        counted: nodes at which a run has not failed, [nodes].
+        counted: nodes at which a run has not failed, [nodes]; None: the cost until failure is not
+            needed, and nan.
         problem: problem with the semantics.
         mass: for each discount three columns: the mass that enters, this mass times the cost paid
             before, and the mass that enters after failing, [nodes, 3 * discounts].
@@ -373,26 +374,21 @@ def _chain_totals(
     Raises:
         ModelError: the policy gives up where the problem forbids it.
     """
-    semantics, totals = problem.semantics, []
+    semantics, totals, stopped = problem.semantics, [], np.nan
     _check_giving_up(chain, problem)
+    alive = chain.alive
+    ended = np.where(alive | (chain.goal > 0), 0.0, 1.0)
     for k, survival in enumerate(_survivals(problem)):
         entering, paid, lost = mass[:, 3 * k : 3 * k + 3].T
-        reached, failed, cost = _successes(chain, survival)
+        reached, cost = chain.arriving(survival)
+        leaks = (1.0 - survival) + survival * (chain.ahead(ended) + chain.give_up)
+        failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
         begins = entering + lost if semantics.give_up is GiveUp.DEAD_ENDS else entering
-        stopped = _value_until_failure(chain, counted, semantics, survival, start=begins)
+        if counted is not None:
+            stopped = _value_until_failure(chain, counted, semantics, survival, start=begins)
         success = entering @ cost + paid @ reached / survival
         totals.append([entering @ reached, entering @ failed, success, stopped])
     return np.array(totals)
-
-
-def _successes(chain: Chain, survival: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return goal probability, failure and E[cost; goal] from each node, [nodes] each."""
-    alive = chain.alive
-    ended = np.where(alive | (chain.goal > 0), 0.0, 1.0)
-    reached, cost = chain.arriving(survival)
-    leaks = (1.0 - survival) + survival * (chain.ahead(ended) + chain.give_up)
-    failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival) + ended
-    return reached, failed, cost
 
 
 def _evaluated_ends(chain: Chain, start: FloatArray) -> FloatArray:

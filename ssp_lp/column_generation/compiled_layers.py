@@ -508,6 +508,9 @@ class CompiledLayered(CompiledProblem):
             tails = layer.tails(facts.riskiest, facts.riskiest, facts.least.bound, exact=False)
         else:
             tails = layer.simple_tails
+        counts = layer.counts_law and self._grows
+        if counts and (least := self.facts.least_cost) is not None:
+            tails = replace(tails, least_cost=base.quotient.least_over_members(least))
         return LayeredProcess(base, totals, tails, self.charge)
 
     def fits(self, cap: float) -> bool:

@@ -497,9 +497,6 @@ class LayerAndTails:
         greatest = facts.greatest.bound if exact else np.full(len(least), facts.survival)
         decisions = np.stack([first.decision, last.decision]).astype(np.int32)
         values = TailValues.stacked([first.values, last.values], at)
-        may_fail = self.may_fail and not self.safest_only and self.guess is None
-        if may_fail and facts.least_cost is not None:
-            more["least_cost"] = at(facts.least_cost)
         return LayeredTails(decisions, values, -at(-greatest), at(least), exact=exact, **more)
 
     def totals(self, cap: float) -> Totals | None:
@@ -818,7 +815,7 @@ class CompiledExplicit(CompiledProblem):
     def base(self) -> AccumulatedCost:
         """One layer of the process; raises ModelError if there is no charge."""
         if self.layer is None:
-            raise ModelError("a problem without a charge has no layers of accumulated cost")
+            raise ModelError("the problem counts no accumulated cost, so it has no layers")
         return (self.layer if self.budget is not None else self.layer.safest).base
 
     @cached_property

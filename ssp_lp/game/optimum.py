@@ -502,7 +502,7 @@ def thresholds(
     curve: list[Threshold] = []
     for budget in budgets:
         if not 0.0 < budget <= 1.0 or (problem.ratio and budget == 1.0):
-            raise ModelError(f"c* of epsilon' = {budget!r} is not defined: it must be above 0, in "
+            raise ModelError(f"c* is not defined at the budget {budget!r}: use budgets above 0, in "
                              "case S below 1")  # fmt: skip
         check_budget(problem, budget, responses[0], tail)
         share = 1.0 - budget if problem.ratio else 1.0

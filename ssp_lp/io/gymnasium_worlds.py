@@ -779,7 +779,7 @@ def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _
         model.check_step(pair, state)
         if terminated and not over[state]:
             raise ModelError(
-                f"the environment terminated in {model.states[state]!r}, unlike env.unwrapped.P"
+                f"the environment terminated in {model.states[state]!r}; env.unwrapped.P does not"
             )
         paid = float(model.step_cost(before, action, shown, float(reward)))
         check_costs(paid)

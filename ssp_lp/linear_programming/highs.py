@@ -60,7 +60,7 @@ def solve_with_highs(
     answer, bounds = _answer(solver, backend), np.stack([program.lower, program.upper])
     if answer.basis is not None and solver.getModelStatus() == _OPTIMAL:
         solver.setOptionValue("solver", "simplex")
-        solver.setOptionValue("simplex_iteration_limit", bounds.size)
+        solver.setOptionValue("simplex_iteration_limit", len(program.lower))
         for row in np.flatnonzero(bounds.any(axis=0)).tolist():
             solver.changeRowBounds(row, *(_MAGNIFIED * bounds[:, row]))
         run_highs(solver)

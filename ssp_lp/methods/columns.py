@@ -129,8 +129,8 @@ def best_within_budget(
         exactly = replace(options, tolerance=finer)
         optimum = optimum.followed_by(refined_optimum(optimum.compiled, budget, exactly))
     compiled, unlimited = optimum.compiled, not problem.ratio and optimum.row.demanded <= 0.0
-    relaxed = replace(options, deterministic=False).method
-    reason = _REASONS["unlimited" if unlimited and options.program is None else relaxed]
+    relaxed = "lp" if options.program is not None else "unlimited" if unlimited else "columns"
+    reason = _REASONS[relaxed]
     if sense.constant is not None:
         reason = f"backward sweeps over {compiled.layers:,} layers of accumulated cost"
         if compiled.cost_horizon > 0.0:
@@ -139,7 +139,8 @@ def best_within_budget(
     notes = [remarks(problem, optimum.row.budget, optimum.generated.finished)]
     if compiled.charge is not None and compiled.charge.settled is None:
         notes += [_UNSETTLED] * (optimum.gap > options.tolerance)
-    answer = replace(optimum, note="; ".join(filter(None, notes)))
+    note = "; ".join(filter(None, notes))
+    answer = replace(optimum, note=note) if note else optimum
     run = Run(options.method, reason, optimum.calls, 0.0, optimum.work, optimum.program)
     solution = assembled(problem, answer, run, sense)
     if not options.deterministic:
@@ -328,7 +329,8 @@ def refined_optimum(
     if row.is_rare:
         compiled = compiled.counting_rare_success(budget)
     with WithIncumbent() as search:
-        row = replace(row, lowest=compiled.lowest)
+        if (lowest := compiled.lowest) != row.lowest:
+            row = replace(row, lowest=lowest)
         if options.program is not None:
             least = checked_least_failure(compiled, budget)
         elif guess is None:
@@ -438,9 +440,8 @@ def _attempt(
         least = checked_least_failure(compiled, row.budget) if least is None else least
         row = row.raised_to(least.column)
         master = master_at(Pool(compiled.pricing()), row, least.column)
-    finer = TRIAL_TOLERANCE if compiled.is_trial else options.tolerance
-    generated = generate(master, replace(options, tolerance=finer))
-    generated = certified(master, row, generated, finer)
+    search = replace(options, tolerance=TRIAL_TOLERANCE) if compiled.is_trial else options
+    generated = certified(master, row, generate(master, search), search.tolerance)
     if program is not None and generated.finished:
         check_agreement(program, generated.objective)
     bound, price = generated.lower_bound, max(generated.price - generated.ratio, 0.0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import hypot, sqrt
 from typing import Any
@@ -46,8 +46,6 @@ from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _ROUGH = SolveOptions(1e-3)  # tolerance in case M, whose policy is not optimal anyway
-_SEARCHED = 0.6  # share of a long time for the search in case M; the rest is for the evaluation
-_LONG = 3.0  # seconds
 _NOTHING = 1e-290  # a smaller bound is 0
 _VARIANCE = 1e-6  # rounding error of a standard deviation, relative to the mean
 _MOMENTS = "its objective is a bound by mean and variance: the exact value takes longer"
@@ -78,9 +76,8 @@ class Incumbent:
         for at_least_failure in (False, True):  # the cheapest policy may fail always
             with WithIncumbent(), suppress(SSPError):  # the search raises it again
                 if at_least_failure not in self.policies:
-                    left = seconds_left()
-                    ends = time.perf_counter() + _SEARCHED * left
-                    with until(ends) if left > _LONG else nullcontext():
+                    half = time.perf_counter() + 0.5 * seconds_left()
+                    with until(half):  # the other half is for the evaluation
                         policy = self._cheapest_policy(problem, at_least_failure=at_least_failure)
                     self.policies[at_least_failure] = policy
                 policy = self.policies[at_least_failure]

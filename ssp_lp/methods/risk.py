@@ -336,9 +336,7 @@ class _WithinBudget(_Question):
         compiled = self.compiled.charging(charge)
         if kappa <= 0.0 or self.budget is None:
             return compiled
-        cap = compiled.lossless_units(kappa)
-        doubled = compiled.is_lossy and compiled.fits(2.0 * cap)  # the bound beyond it is loose
-        return self.compiled.charging(charge, 2.0 * cap if doubled else cap)
+        return self.compiled.charging(charge, compiled.lossless_units(kappa))
 
     def share(self, proof: Proof) -> float:
         """Return the lower bound of E[charge | goal] that a proof implies."""

@@ -361,17 +361,14 @@ def _takes_split_costs(policy: Policy, outcome: Optimum[Any], model: SSP) -> boo
         outcome: optimum of that model.
         model: the true model.
     """
-    counts = [np.diff(m.outcome_offsets) for m in (outcome.compiled.facts.model, model)]
-    split = counts[0] != counts[1]
+    offsets = outcome.compiled.facts.model.outcome_offsets, model.outcome_offsets
+    split = np.not_equal(*map(np.diff, offsets))
     states = np.unique(model.pair_state[split])
-    if isinstance(policy, CostAwarePolicy):
-        decision, tails = policy.decision[:, states], policy.tails[:, states]
-        pairs = np.where(decision < 0, decision, model.pair_offsets[states] + decision)
-        pairs = np.append(pairs, tails)
-    elif isinstance(policy, DeterministicPolicy):
-        pairs = policy.decision[states]
-    else:
+    if not isinstance(policy, CostAwarePolicy):
         return True
+    decision = policy.decision[:, states]
+    pairs = np.where(decision < 0, decision, model.pair_offsets[states] + decision)
+    pairs = np.append(pairs, policy.tails[:, states])
     return bool(split[pairs[pairs >= 0]].any())
 
 

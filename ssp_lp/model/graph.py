@@ -165,7 +165,6 @@ def dead_ends(model: SSP) -> BoolArray:
     return hopeless_states(model) if label is None else label.ended
 
 
-@with_twin
 def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
     """Return the states from which some policy may reach one of the given states, [states].
 

@@ -223,8 +223,8 @@ class Exploration:
         begin, n_outcomes = len(flat.arrays["costs"]), int(outcomes.sum())
         if actions.shape != states.shape or outcomes.shape != (int(actions.sum()),):
             raise ModelError(
-                f"successors of {len(states)} states must return as many numbers of actions, and "
-                "a number of outcomes for each action"
+                f"for {len(states)} states, successors must return the number of actions of each "
+                "state, and the number of outcomes of each action"
             )
         ends, first = np.cumsum(actions), len(flat.arrays["actions"])
         flat.arrays["successors"] += map(flat.place_of, told["successors"].tolist())

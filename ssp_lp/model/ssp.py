@@ -1122,7 +1122,7 @@ def _column(table: Any, name: str | Sequence[str]) -> list[Any]:
         known = [*(table if isinstance(table, Mapping) else table.columns)]
     except (AttributeError, TypeError) as error:
         raise ModelError(
-            f"a table has columns by name, {{'state': [...], ...}}, and is not {in_short(table)}"
+            f"a table must have columns by name, {{'state': [...], ...}}, not be {in_short(table)}"
         ) from error
     if name not in known:
         nearest = did_you_mean(name, known, "it has")

@@ -379,9 +379,9 @@ def plot_paths(
     """
     drawn = [np.asarray(path, dtype=np.float64) for path in paths]
     if len(drawn) != len(ends):
-        raise ModelError(f"{len(drawn)} paths need as many ends, not {len(ends)}")
+        raise ModelError(f"{len(drawn)} paths need {len(drawn)} ends, not {len(ends)}")
     if not all(path.size == 0 or (path.ndim == 2 and path.shape[1] >= 2) for path in drawn):
-        raise ModelError("a path must be an array [points, 2 or more]")
+        raise ModelError("a path must be an array [points, coordinates], 2 coordinates or more")
     is_new, ax = ax is None, axes_or_new(ax, 5.6, 5.6)
     if is_new:
         dress_axes(ax, "x", "y")

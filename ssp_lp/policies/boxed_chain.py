@@ -167,7 +167,7 @@ class BoxedChain:
                 return values
             chosen = np.where(better[decision], best, chosen)
             stops = stops ^ turned
-        raise SolverError("rounding makes nature's choices repeat; please report the model")
+        raise SolverError("rounding makes the worst probabilities repeat; please report the model")
 
     def failing(self) -> FloatArray:
         """Return the greatest probability of never reaching the goal from each node, [nodes].

@@ -299,7 +299,7 @@ class Policy(_Playable):
         if self.carrier is not None:
             return self.carrier.memories()
         if (size := self.memory_size) is None:
-            raise ModelError(f"the memory values of a {type(self).__name__} are unknown")
+            raise ModelError(f"the memory of a {type(self).__name__} cannot be listed")
         return [(0, None)] if size == 1 else [(k, k) for k in range(size)]
 
     def listed_states(self, memory: int) -> IntArray:

@@ -249,7 +249,7 @@ def common_memory(policy: MixedPolicy) -> tuple[Policy, ...]:
     keepers: dict[tuple[object, ...], Policy] = {}
     for member in policy.policies:
         if member.memory_size is None:
-            raise ModelError(f"the memory values of a {type(member).__name__} are unknown")
+            raise ModelError(f"the memory of a {type(member).__name__} cannot be listed")
         if member.memory_size > 1:
             keepers.setdefault(member.meaning, member)
     return tuple(keepers.values())

@@ -138,7 +138,7 @@ def label_failure(
     process = ExplicitProcess(
         pair_offsets=quotient.pair_offsets,
         transitions=rows.matrix,
-        start=np.zeros(quotient.n_nodes),
+        start=quotient.gather(start),
         cost=stage / departs,
         failure=leaks / departs,
         goal=survival * to_goal / departs,
@@ -177,23 +177,23 @@ def counting_of(
 def with_start(
     process: ExplicitProcess, quotient: Quotient, start: FloatArray, cost: float
 ) -> ExplicitProcess:
-    """Return a process with its start distribution.
+    """Return a process that begins in its states alone, by a source state if need be.
 
     If some start mass lies on goals or dead-ends, a source state is added: its only pair leads to
     the start states, to the goal and to failure.
 
     Args:
-        process: the process, without a start.
+        process: the process, with the start mass on its states.
         quotient: nodes and pairs of the process.
         start: distribution over states of the model, [states].
         cost: cost of the pair of the source.
     """
-    model, live_start = quotient.model, quotient.gather(start)
-    at_goal, at_dead = (float(start[ends].sum()) for ends in (model.goal_mask, quotient.dead))
+    at_goal = float(start[quotient.model.goal_mask].sum())
+    at_dead = float(start[quotient.dead].sum())
     if at_goal + at_dead == 0.0:
-        return replace(process, start=live_start)
+        return process
     n = quotient.n_nodes
-    source_row = sp.csr_array(np.concatenate([live_start, [0.0]])[None, :])
+    source_row = sp.csr_array(np.append(process.start, 0.0)[None, :])
     wider = sp.csr_array(
         (process.transitions.data, process.transitions.indices, process.transitions.indptr),
         shape=(process.n_pairs, n + 1),

@@ -193,19 +193,19 @@ class Quotient:
         live, several = (self.node_of >= 0).nonzero()[0], max(CHUNK // max(len(offsets), 1), 1)
         nodes, own, last = self.node_of[live], self.pair_offsets[:-1], self.pair_offsets[1:] - 1
         shift, most = first - own, int(np.diff(self.pair_offsets).max(initial=1))
-        parts = [slice(begin, begin + several) for begin in range(0, len(choice), several)]
+        begins = range(0, len(choice), several)
         seen, table = np.zeros(most, np.bool_), np.empty((most, len(live)), places.dtype)
-        for some in parts:
-            seen[choice[some] + shift] = True
+        for begin in begins:
+            seen[choice[begin : begin + several] + shift] = True
         for k in seen.nonzero()[0].tolist():
             if k not in self._moves:  # they depend on the nodes' pairs alone
                 pairs = self.pull_back(np.minimum(own + k, last))[live]
                 own_pairs = np.where(pairs < 0, pairs, pairs - offsets[live])
                 self._moves[k] = own_pairs.astype(places.dtype)
             table[k] = self._moves[k]
-        for some in parts:
-            taken = choice[some][:, nodes] + shift[nodes]
-            places[some, live] = table[taken, np.arange(len(live))]
+        for begin in begins:
+            taken = choice[begin : begin + several, nodes] + shift[nodes]
+            places[begin : begin + several, live] = table[taken, np.arange(len(live))]
         return places
 
     @cached_property

@@ -262,7 +262,7 @@ class LabelledModel(Augmented):
         rows = single.transitions(1.0, departing=False).matrix  # a discount collapses nothing
         rewards = (process.cost, process.failure, process.goal)
         taken = (spread.per_taking(each[:width]) for each in rewards)
-        apart = ExplicitProcess(single.pair_offsets, rows, np.zeros(single.n_nodes), *taken)
+        apart = ExplicitProcess(single.pair_offsets, rows, single.gather(self.start), *taken)
         whole = with_start(apart, single, self.start, float(process.cost[width:].sum()))
         ones = np.ones(len(single.pair_at))
         labelled = FailureLabelled(whole, single, ones)

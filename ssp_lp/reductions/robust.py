@@ -282,8 +282,8 @@ def check_ends(model: SSP, kept: BoolArray) -> None:
     if kept.any():
         raise ModelError(
             f"state {model.states[int(np.argmax(kept))]!r}: the boxes allow probabilities with "
-            "which a run never ends: use give_up='anywhere', or give the outcomes that lead to an "
-            "end a low above 0"
+            "which a run never ends: use give_up='anywhere', or make low positive for the outcomes "
+            "that lead to an end"
         )
 
 

@@ -289,6 +289,13 @@ def test_prices_are_those_of_late_states_that_are_hardly_visited(seed, name):
     assert effect.right == pytest.approx(by_differences, rel=1e-6)
 
 
+def test_a_program_that_presolve_leaves_without_a_status_is_solved_without_it():
+    """HiGHS's presolve ends on a program of this problem with the status "Not Set"."""
+    problem = what_if_check.drawn_problem(np.random.default_rng(70119), "S3P")
+    measure = problem.with_arguments(cost_cap=96.0).program().solve("highs-simplex")
+    assert (measure.solver, measure.status) == ("highs-simplex", "Optimal")
+
+
 def test_no_optimal_lottery_succeeds_beyond_the_last_total():
     """The solver's own lottery does not, but another optimal one did with probability 2e-5."""
     problem = what_if_check.drawn_problem(np.random.default_rng(306174), "S3P")

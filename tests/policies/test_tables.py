@@ -131,7 +131,7 @@ def test_a_policy_of_unknown_memory_prints_in_one_line():
     policy = Counting(DEPOT, np.array([0, -2, -2]))
     assert isinstance(policy, Policy)
     assert str(policy) == repr(policy)
-    refused("the memory values of a Counting are unknown", policy.table)
+    refused("the memory of a Counting cannot be listed", policy.table)
 
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])

@@ -403,7 +403,7 @@ def test_conflicts_know_rows_that_are_added(criterion):
     convex = depot(criterion)
     convex.constraints["idle"] = convex.visits("depot") <= 5.0
     convex.constraints["seldom"] = convex.visits("depot", "road") <= 0.25
-    with pytest.raises(InfeasibleError, match=r"conflict\(\) for the rows"):
+    with pytest.raises(InfeasibleError, match=r"conflict\(\) names the rows"):
         convex.solve(cp.CLARABEL)
     conflict = convex.conflict()
     assert conflict == {"failure": "<= 0.05", "seldom": "<= 0.25"}
