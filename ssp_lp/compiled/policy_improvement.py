@@ -15,6 +15,7 @@ Rows = tuple[Array, Array, Array, Array, Array]
 """A process: offsets of each state's pairs, [states + 1], and of each pair's entries, [pairs + 1];
 columns and probabilities, [entries] each; and the probability of leaving for good, [pairs]."""
 
+_LEAST_POSITIVE = float(np.nextafter(0.0, 1.0))
 _MOST_ROUNDS = 1_000
 """Most rounds in one component. Only rounding could lead to more; the bound shows the loss."""
 
@@ -307,7 +308,8 @@ def reach_in_order(
         epsilon: the machine epsilon.
         begin: number of states, from the last one, that are finished already.
         end: number of states, from the last one, that must be finished.
-        decision: written: a best pair of each state, -1 where there is none, [states].
+        decision: negative numbers; replaced by a best pair of each state from which the goal can be
+            reached and which is no goal, [states].
         values: written: probabilities of the goal and of missing it under these decisions, an upper
             bound of the greatest of the former, and a lower bound of the least of the latter,
             [states, 4].
@@ -318,7 +320,6 @@ def reach_in_order(
     for s in range(goals.size - 1 - begin, goals.size - 1 - end, -1):
         hit = most = 1.0 if goals[s] else 0.0
         miss = least = 1.0 - hit
-        decision[s] = -1
         for pair in range(offsets[s], offsets[s + 1]):
             reached = missed = upper = lower = 0.0
             is_sure = is_lost = True
@@ -328,7 +329,7 @@ def reach_in_order(
                     if t <= s:
                         return False
                     is_sure &= values[t, 1] == 0.0
-                    is_lost &= values[t, 0] == 0.0
+                    is_lost &= values[t, 2] == 0.0
                     reached += chance * values[t, 0]
                     missed += chance * values[t, 1]
                     upper += chance * values[t, 2]
@@ -339,8 +340,10 @@ def reach_in_order(
             else:
                 rounding = (float(bounds[pair + 1] - bounds[pair]) + 2.0) * epsilon
                 upper, lower = upper * (1.0 + rounding), lower * (1.0 - rounding)
+                upper = max(upper, _LEAST_POSITIVE)  # products below it are rounded to 0
             most, least = max(most, upper), min(least, lower)
-            if reached > hit if min(reached, hit) < 0.5 else missed < miss:
+            is_first = decision[s] < 0 and not is_lost and not goals[s]
+            if is_first or (reached > hit if min(reached, hit) < 0.5 else missed < miss):
                 hit, miss, decision[s] = reached, missed, pair
         values[s, 0], values[s, 1], values[s, 2], values[s, 3] = hit, miss, most, least
     return True

@@ -140,7 +140,7 @@ def _reach_in_order(model: SSP, start: FloatArray | None) -> GoalReach | None:
     from ssp_lp.compiled.policy_improvement import reach_in_order
 
     n, graph = model.n_states, (model.pair_offsets, model.outcome_offsets, model.successors)
-    decision, values = np.empty(n, dtype=np.int32), np.empty((n, 4))
+    decision, values = np.full(n, UNDECIDED, dtype=np.int32), np.empty((n, 4))
     arrays = *graph, model.probabilities, model.goal_mask, MACHINE_EPSILON
     for some in pieces(n, model.n_outcomes):
         if not reach_in_order(*arrays, some.start, some.stop, decision, values):

@@ -7,6 +7,7 @@ equations written out; its two values enclose the truth but for rounding.
 import pickle
 import time
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -268,3 +269,58 @@ def test_all_layers_at_once_are_each_by_itself(seed):
         np.testing.assert_array_equal(
             positions, np.where(pairs < 0, pairs, pairs - model.pair_offsets[:-1])
         )
+
+
+# Steps that lead to later states only: one pass from the last state to the first.
+
+
+def states_in_order(seed):
+    """A model of a goal, a dead-end and up to twelve states, and the greatest goal probabilities.
+
+    Probabilities are multiples of 1/8, so that those of up to twelve steps have no rounding.
+    """
+    rng, ways = np.random.default_rng(seed), {}
+    last = int(rng.integers(2, 13))
+    best = {last: Fraction(1), last + 1: Fraction(0)}
+    for state in reversed(range(last)):
+        ways[state] = {}
+        for action in range(int(rng.integers(1, 4))):
+            after = rng.choice(np.arange(state + 1, last + 2), int(rng.integers(1, 4)))
+            shares = np.diff([0, *np.sort(rng.integers(0, 9, after.size - 1)), 8])
+            ways[state][str(action)] = [
+                (int(share) / 8, int(t), 1.0) for share, t in zip(shares, after, strict=True)
+            ]
+        best[state] = max(
+            sum(Fraction(p) * best[t] for p, t, _ in outcomes) for outcomes in ways[state].values()
+        )
+    ways = {state: ways[state] for state in range(last)} | {last + 1: {}}
+    model = SSP.from_transitions(
+        {**ways, last: {}}, goal={last}, treat_actionless_as_dead_ends=True
+    )
+    return model, best
+
+
+@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.usefixtures("either_way")
+def test_one_pass_finds_the_greatest_goal_probabilities(seed):
+    model, best = states_in_order(seed)
+    solution = solve(MaxProb(model, 0))
+    assert solution.objective == pytest.approx(float(best[0]), rel=1e-14, abs=0.0)
+    assert solution.upper_bound >= float(best[0]) * (1.0 - 1e-15)
+    attained = evaluate(solution.policy, solution.problem).goal_probability
+    assert attained == pytest.approx(float(best[0]), rel=1e-14, abs=0.0)
+    hopeless = {state for state, value in best.items() if not value}
+    (plan,) = solution.policy.policies
+    assert not hopeless & set(plan.actions())
+
+
+@pytest.mark.usefixtures("either_way")
+def test_one_pass_keeps_the_action_where_the_goal_is_all_but_impossible():
+    """Three steps of 1e-150 each: their product is no number, but it is not 0."""
+    ways = {k: {"go": [(1e-150, k + 1, 1.0), (1.0, "d", 1.0)]} for k in range(3)}
+    model = SSP.from_transitions(
+        {**ways, 3: {}, "d": {}}, goal={3}, treat_actionless_as_dead_ends=True
+    )
+    solution = solve(MaxProb(model, 0))
+    (plan,) = solution.policy.policies
+    assert plan.actions() == {0: "go", 1: "go", 2: "go"}
