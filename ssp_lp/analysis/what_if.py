@@ -639,7 +639,7 @@ class _Optimum:
         program, own = self.measure.program, self.measure.program.augmented
         if self.is_unique or self.optima is None:
             return 0.0
-        is_last = own.part.pairs // own.width == own.copies - 1
+        is_last = own.part.pairs // max(own.width, 1) == own.copies - 1
         return -self.optima(np.append(np.where(is_last, -program.process.goal, 0.0), 0.0))
 
     def sides(self, change: Change) -> tuple[float, float] | None:
@@ -650,8 +650,11 @@ class _Optimum:
         """
         (column, outcome, _, worth), counting = self.outcomes, self.counting_steps
         model, process = self.problem.model, self.measure.program.process
-        given = (model if counting is None else counting.original).probabilities
-        opens = _opens(given, change.probabilities) or _opens(self.problem.start_mass, change.start)
+        given, begun = model.probabilities, self.problem.start_mass
+        if counting is not None:
+            given = counting.original.probabilities
+            begun = np.bincount(counting.original_state, begun, counting.original.n_states)
+        opens = _opens(given, change.probabilities) or _opens(begun, change.start)
         if self.optima is None or opens:
             return None
 
@@ -697,14 +700,17 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
         Stop: the deadline of the call has passed.
     """
     check_time()
-    limit = seconds_left()
-    program = problem.program()
+    limit, program = seconds_left(), problem.program()
+    begun = begun and (begun.reduced or begun)
     try:
         for backend in (None, "highs-simplex"):  # interior points may find no vertex
             measure: OccupationMeasure = program.solve(
                 backend, time_limit=seconds_left(), warm_start=begun
             )
-            if (measure.reduced or measure).basis is not None:
+            if (vertex := measure.reduced or measure).basis is not None:
+                if begun is None:  # a start from a basis makes the prices more accurate
+                    left = seconds_left()
+                    return program.solve("highs-simplex", time_limit=left, warm_start=vertex)
                 return measure
     except SolverError as error:
         if is_late():

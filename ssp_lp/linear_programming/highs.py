@@ -43,8 +43,9 @@ def solve_with_highs(
     ``highspy-extras`` is installed.
 
     HiGHS's tolerance of rows is absolute. Late states of long runs have fewer visits than it, so
-    the last basis may not be optimal, with prices that are wrong by 2e-5. The simplex continues
-    from this basis on the program with all bounds multiplied by a large factor.
+    the last basis may not be optimal, with prices that are wrong by 2e-5. If a basis is given, the
+    simplex therefore continues from its optimum on the program with all bounds multiplied by a
+    large factor.
 
     Args:
         backend: "highs-simplex" or "highs-ipx".
@@ -58,7 +59,9 @@ def solve_with_highs(
     """
     solver = _solved_by_highs(program, backend, time_limit, basis)
     answer, bounds = _answer(solver, backend), np.stack([program.lower, program.upper])
-    if answer.basis is not None and solver.getModelStatus() == _OPTIMAL:
+    greatest = np.abs(bounds[np.isfinite(bounds)]).max(initial=0.0)
+    is_small = _MAGNIFIED * greatest < solver.getInfinity()
+    if basis is not None and is_small and solver.getModelStatus() == _OPTIMAL:
         solver.setOptionValue("solver", "simplex")
         solver.setOptionValue("simplex_iteration_limit", len(program.lower))
         for row in np.flatnonzero(bounds.any(axis=0)).tolist():

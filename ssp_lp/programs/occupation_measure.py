@@ -148,7 +148,7 @@ class OccupationMeasure:
         augmented = self.program.augmented
         if augmented.copies == 1:
             return 0.0
-        last = augmented.part.pairs // augmented.width == augmented.copies - 1
+        last = augmented.part.pairs // max(augmented.width, 1) == augmented.copies - 1
         return float(self.program.process.goal[last] @ self.visits[last])
 
     @property

@@ -433,3 +433,14 @@ def test_a_change_is_a_vector():
     problem = MCMP(depot(), "depot", 0.05)
     moved = Change(bounds={"failure": 1.0}).applied(problem, 0.01)
     assert np.isclose(moved.failure_budget, 0.06)
+
+
+def test_starts_of_a_horizon_are_states_of_the_users_model():
+    """Half of the runs begin at s, half at t; two ways at each are equally cheap."""
+    ways = {f"u{k}": {"w": [(1.0, "g", 1.0)]} for k in range(4)}
+    ways |= {k: {way: [(1.0, "g", cost)] for way in "xy"} for k, cost in (("s", 1.0), ("t", 3.0))}
+    problem = MCMP(SSP.from_transitions(ways, goal={"g"}), {"s": 0.5, "t": 0.5}, 0.5, horizon=1)
+    effects = {effect.number.name: effect for effect in what_if(problem).effects}
+    moved = [effect for name, effect in effects.items() if name.startswith("start")]
+    assert moved
+    assert all(effect.left is None or abs(effect.left) == pytest.approx(2.0) for effect in moved)
