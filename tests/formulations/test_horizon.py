@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from examples.solver_comparison.instances.families import grid, river, scattered
 from formulations import (
     GUBS,
     MCMP,
@@ -53,6 +54,7 @@ from ssp_lp.analysis.simulation import ModelSimulator
 from ssp_lp.game import stationary_game
 from ssp_lp.io import load_policy, load_solution, save_policy, save_solution
 from ssp_lp.model.product import LATE
+from tests.support.compiled import assert_same, both
 
 STEPS = 6
 SEEDS = (0, 3, 4, 8)  # of which the goal can be reached in so many steps
@@ -427,3 +429,30 @@ def test_a_horizon_of_too_many_steps_is_refused_at_once() -> None:
     model = SSP.from_transitions({"x": {"a": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}}, goal={"g"})
     with pytest.raises(ModelError, match="are too many"):
         solve(MCMP(model, "x", failure_budget=1.0, horizon=10**9))
+
+
+@pytest.mark.parametrize("steps", [1, 9, 40])
+@pytest.mark.parametrize(
+    "model", [river(6, 5), grid(6), scattered(40)], ids=["river", "grid", "any"]
+)
+def test_steps_are_counted_alike_by_compiled_loops_and_by_numpy(model, steps, accelerate):
+    """The product itself, and the greatest probability beside one sweep for each step."""
+    pytest.importorskip("numba")
+
+    def counted() -> tuple[object, ...]:
+        made = within_steps(replace(model), steps, survive=True)
+        names = "pair_offsets", "outcome_offsets", "successors", "probabilities", "goal_mask"
+        return *(getattr(made, name) for name in names), made.labels.state, made.labels.number
+
+    assert_same(*both(accelerate, counted))
+    reached = model.goal_mask.astype(np.float64)
+    for _ in range(steps):
+        sums = np.add.reduceat(
+            model.probabilities * reached[model.successors], model.outcome_offsets[:-1]
+        )
+        np.maximum.at(reached, model.pair_state, sums)
+    for solution in both(accelerate, lambda: solve(MaxProb(replace(model), 0, horizon=steps))):
+        assert solution.objective == pytest.approx(reached[0], rel=1e-12, abs=0.0)
+        assert solution.gap <= 1e-12
+        assert solution.goal_probability == pytest.approx(reached[0], rel=1e-12, abs=0.0)
+        assert certify(solution).accepted
