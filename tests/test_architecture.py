@@ -253,7 +253,7 @@ def test_a_small_solve_keeps_its_way(name: str, most: Way, accelerate: Switch) -
 @pytest.mark.parametrize(
     ("measure", "most"),
     [
-        (house.lines_in_all, 34_499),
+        (house.lines_in_all, 34_501),
         (house.public_classes, 273),
         (house.numeric_constants, 481),
         (house.questions_asked, 12),
@@ -282,7 +282,7 @@ LINES = {
     "ssp_lp": 2_307,
     "ssp_lp/accumulated_cost": 2_783,
     "ssp_lp/analysis": 1_730,
-    "ssp_lp/column_generation": 2_290,
+    "ssp_lp/column_generation": 2_292,
     "ssp_lp/compiled": 1_856,
     "ssp_lp/distributed": 972,
     "ssp_lp/dynamic_programming": 1_931,

@@ -156,7 +156,9 @@ def steps_of_layers(
 
 
 FIRST_LAYERS: Final = 64  # first cap of a charge that never settles
-_MOST_AT_FIRST = 1_000  # most layers of a first cap, as a policy of higher cost may be a long shot
+MOST_AT_FIRST: Final = (
+    1_000  # most layers of a first cap, as a policy of higher cost may be a long shot
+)
 TYPICAL: Final = 2.5  # first cap, in costs given success of a typical policy
 BEYOND: Final = 1e-9  # relative distance of a total that lies beyond another
 
@@ -378,7 +380,7 @@ def first_cap(base: AccumulatedCost, charge: Charge, typical: float, fixed: floa
     needed = max(layers_within(settled, base.exact_unit), 1)
     if charge.slope == 0.0:
         return needed
-    return needed + int(min(TYPICAL * typical / base.unit, _MOST_AT_FIRST)) + base.width
+    return needed + int(min(TYPICAL * typical / base.unit, MOST_AT_FIRST)) + base.width
 
 
 def first_total(charge: Charge, typical: float) -> float:

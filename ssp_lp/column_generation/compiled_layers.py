@@ -538,8 +538,10 @@ class CompiledLayered(CompiledProblem):
             tails = layer.exact_tails if exact else layer.simple_tails
             cost, goal = float(base.start @ tails.first.cost), float(base.start @ tails.first.goal)
         first = layer.units(share * cost / max(goal + base.start_goal, 1e-300))
-        if settled is None and not layer.by_sums:
-            first = written_out.FIRST_LAYERS
+        if settled is None and not layer.by_sums:  # few layers if the charge is soon constant
+            while first > 1 and self.charge.is_affine_beyond(0.5 * first * base.unit):
+                first //= 2
+            first = max(min(first, written_out.MOST_AT_FIRST // 2), written_out.FIRST_LAYERS)
         if not layer.by_sums:
             first += base.width
         elif not self.is_trial:

@@ -506,3 +506,15 @@ def test_budgets_below_the_least_failure(drawn):
         exactly, known = (solve(criterion(model, start, asked, b)) for b in (least, None))
         assert exactly.objective == pytest.approx(known.objective, **CLOSE)
         assert exactly.failure_probability <= least + 1e-10
+
+
+@pytest.mark.parametrize("rate", [1.0 / 300.0, 0.5])
+def test_layers_of_a_utility_begin_at_a_typical_cost_or_where_it_has_vanished(rate):
+    """One way of 300 steps: its total is the first cap's measure, unless nothing is left there."""
+    steps = {k: {"on": [(1.0, k + 1 if k < 299 else "g", 1.0)]} for k in range(300)}
+    solution = solve(GUBS(model_of(steps), 0, lambda c: np.exp(-rate * c), 0.5))
+    assert solution.objective == pytest.approx(np.exp(-300.0 * rate) + 0.5, **SHARP)
+    assert solution.gap <= 1e-9
+    layers = int(solution.run.reason.split()[3])
+    assert layers >= 300 if rate < 0.1 else layers < 300
+    assert solution.run.pricing_calls == 1
