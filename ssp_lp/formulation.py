@@ -242,22 +242,16 @@ class Formulation(Problem):
         return self if label is None else self._on_product(label, begin)
 
     def _on_product(self, model: SSP, begin: IntArray, **changes: Any) -> Self:
-        """Return the formulation on a product, without checking its arguments again.
+        """Return the formulation on a product.
 
         Args:
             model: the product.
             begin: its states that stand for the start states, in their order.
             changes: other arguments that change.
         """
-        moved, start_mass = object.__new__(type(self)), np.zeros(model.n_states)
-        start_mass[begin] = shares = self.start_mass[self.start_mass > 0.0]
-        start = zip(map(model.states.__getitem__, begin.tolist()), shares.tolist(), strict=True)
-        kept = self.__getstate__()
-        kept.pop("tracked", None)
-        moved.__setstate__(
-            {**kept, "model": model, "start": dict(start), "start_mass": start_mass, **changes}
-        )
-        return moved
+        shares = self.start_mass[self.start_mass > 0.0].tolist()
+        start = zip(map(model.states.__getitem__, begin.tolist()), shares, strict=True)
+        return self.with_arguments(model=model, start=dict(start), **changes)
 
     @cached_property
     def tracked(self) -> Self:
