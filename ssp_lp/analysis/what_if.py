@@ -83,7 +83,7 @@ def _added(one: Mapping[Any, float], other: Mapping[Any, float]) -> dict[Any, fl
 
 def _opens(numbers: FloatArray, slopes: Mapping[int, float]) -> bool:
     """Return whether a change with these slopes raises one of the numbers that are 0."""
-    return any(slope > 0.0 == numbers[place] for place, slope in slopes.items())
+    return any(slope > 0.0 and numbers[place] == 0.0 for place, slope in slopes.items())
 
 
 @dataclass(frozen=True, eq=False)

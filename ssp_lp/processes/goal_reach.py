@@ -131,7 +131,8 @@ def _reach_in_order(model: SSP, start: FloatArray | None) -> GoalReach | None:
     """Compute the greatest goal probabilities in one pass, if each step leads to a later state.
 
     This holds in products with a count of steps. The result is None in other models, if the loop is
-    not worth compiling, and if rounding may exceed ``EVALUATED`` at a start state.
+    not worth compiling, and if rounding may exceed ``EVALUATED`` at a start state. Its pairs are
+    those of one policy, not all that attain the optimum.
     """
     if model.failure_label is not None or start is None:
         return None
