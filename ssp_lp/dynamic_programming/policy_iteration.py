@@ -368,6 +368,8 @@ def improve_precisely(
         cost = pair_cost[choice, None]
         priced = evaluate_chain(system, cost, accuracy=PRECISE)
         values, low = priced.values[:, 0], priced.low[:, 0]
+        if not np.isfinite(values).all():
+            raise SolverError("expected costs are above 1e308: use a larger unit of cost")
         ahead, rounding = dynamics.moves.precise_advantages(pair_cost, values, low)
         gain = -segment_minima(ahead + rounding, offsets) - 2.0 * float(priced.missed[0])
         work = work + Work(1, system.products)
