@@ -653,7 +653,8 @@ class _Optimum:
         given, begun = model.probabilities, self.problem.start_mass
         if counting is not None:
             given = counting.original.probabilities
-            begun = np.bincount(counting.original_state, begun, counting.original.n_states)
+            size, places = counting.original.n_states, counting.original_state
+            begun = np.bincount(places, begun, size).astype(np.float64)
         opens = _opens(given, change.probabilities) or _opens(begun, change.start)
         if self.optima is None or opens:
             return None
@@ -710,7 +711,7 @@ def _vertex_in_time(problem: Problem, begun: OccupationMeasure | None) -> Occupa
             if (vertex := measure.reduced or measure).basis is not None:
                 if begun is None:  # a start from a basis makes the prices more accurate
                     left = seconds_left()
-                    return program.solve("highs-simplex", time_limit=left, warm_start=vertex)
+                    measure = program.solve("highs-simplex", time_limit=left, warm_start=vertex)
                 return measure
     except SolverError as error:
         if is_late():
