@@ -26,7 +26,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from ssp_lp.arrays import RELATIVE_GAP, FloatArray
-from ssp_lp.cargo import Cargo, Shipment, models_of, unloaded
+from ssp_lp.cargo import Models, Store, loaded, models_of
 from ssp_lp.errors import (
     ModelError,
     OutOfTimeError,
@@ -149,7 +149,7 @@ class Answers(Report):
         numbered); and objective, certified bound, gap, failure (discounted if the problem is),
         price, seconds, status or class of the error, and message of the error.
         """
-        asked = self._asked()
+        asked = self._varied_arguments()
         stated = zip(*asked.values(), strict=True)
         rows = [(*one, *_facts_of(answer)) for one, answer in zip(stated, self, strict=True)]
         more = len(rows) - _SHOWN
@@ -163,7 +163,7 @@ class Answers(Report):
         failed = f", {len(self.errors):,} of them errors" if self.errors else ""
         return f"Answers({len(self):,}{failed}, {self.seconds:.3g} s)"
 
-    def _asked(self) -> dict[str, list[Any]]:
+    def _varied_arguments(self) -> dict[str, list[Any]]:
         """Return the arguments that differ between problems, name -> [problems]."""
         numbers: dict[int, int] = {}  # id of a model -> number of models before it
         rows: list[dict[str, Any]] = []
@@ -298,16 +298,16 @@ def _answers_to(
             progress(place, answer)
 
     with TemporaryDirectory(prefix="ssp-lp-", ignore_cleanup_errors=True) as folder:
-        cargo, path, packed = Cargo(), Path(folder, "models"), dict[int, bytes]()
+        store, path, packed = Store(), Path(folder, "models"), dict[int, bytes]()
         with (
-            _Crew(executor, min(workers, len(asked)), cargo, Shipment(str(path)), order) as crew,
+            _Pool(executor, min(workers, len(asked)), store, Models(str(path)), order) as crew,
             path.open("wb") as file,
         ):
-            cargo.load(models_of(asked), file)
+            store.load(models_of(asked), file)
             file.flush()
             for place, problem in enumerate(asked):
                 try:
-                    packed[place] = cargo.pack(problem)
+                    packed[place] = store.pack(problem)
                 except ModelError as error:
                     record(place, error)
             mean = sum(map(len, packed.values())) // max(len(packed), 1)
@@ -329,48 +329,48 @@ class _Order(NamedTuple):
     ends: float  # on the clock of time.time, which machines share
 
 
-def _answer(shipment: Shipment, packed: bytes, order: _Order) -> bytes | None:
+def _answer(models: Models, packed: bytes, order: _Order) -> bytes | None:
     """Solve a packed problem in a worker and return the packed answer.
 
     None if the worker cannot read the file of models.
     """
     try:
-        cargo = unloaded(shipment)
+        store = loaded(models)
     except OSError:
         return None
     try:
-        problem, left = cargo.unpack(packed), order.ends - time.time()
+        problem, left = store.unpack(packed), order.ends - time.time()
         if left <= 0.0:
             raise OutOfTimeError(_TOO_LATE)
         limit = min(left, inf if order.time_limit is None else order.time_limit)
         limited = limit if isfinite(limit) else None
         answer = solve(problem, order.method, tolerance=order.tolerance, time_limit=limited)
-        return cargo.pack(answer)
+        return store.pack(answer)
     except SSPError as error:
-        return cargo.pack(error)
+        return store.pack(error)
     except Exception as error:  # of one problem; the others go on
-        return cargo.pack(SolverError(f"the solve ended in {type(error).__name__}: {error}"))
+        return store.pack(SolverError(f"the solve ended in {type(error).__name__}: {error}"))
 
 
-class _Crew:
+class _Pool:
     """Workers: the given executor, or processes of joblib, which are replaced when one dies."""
 
     def __init__(
-        self, given: Executor | None, count: int, cargo: Cargo, shipment: Shipment, order: _Order
+        self, given: Executor | None, count: int, store: Store, models: Models, order: _Order
     ) -> None:
         """Start the processes, without waiting for them, unless an executor is given.
 
         Args:
             given: the executor.
             count: number of processes.
-            cargo: unpacks the answers.
-            shipment: the models.
+            store: unpacks the answers.
+            models: the models.
             order: options and time limit of the problems.
         """
         self._is_own, self._is_broken, self._count = given is None, False, count
         self._room = _AHEAD * count if given is None else inf
         self._executor: Any = self._new_pool() if given is None else given
-        self._cargo, self._shipment, self._order = cargo, shipment, order
+        self._cargo, self._shipment, self._order = store, models, order
         self._packed: Mapping[int, bytes] = {}
         self._waiting, self._suspects = deque[int](), deque[int]()
         self._deaths = Counter[int]()  # of workers that had the problem in hand, by its place
@@ -378,12 +378,12 @@ class _Crew:
         self._running: dict[Future[bytes | None], int] = {}
         self._finished: SimpleQueue[Future[bytes | None]] = SimpleQueue()
 
-    def __enter__(self) -> _Crew:
+    def __enter__(self) -> _Pool:
         return self
 
     def __exit__(self, *raised: object) -> None:
         """Shut down the built-in pool, and release the models that threads of an executor hold."""
-        unloaded.cache_clear()  # of threads
+        loaded.cache_clear()  # of threads
         if raised[0] is not None:
             self._end()
         elif self._is_own and not self._is_broken:
@@ -451,11 +451,11 @@ class _Crew:
             queue = self._suspects or self._waiting
             if not queue or len(running) >= (1 if alone else self._room):
                 return
-            place, shipment = queue.popleft(), self._shipment
+            place, models = queue.popleft(), self._shipment
             if place in self._without_file:
-                shipment = replace(shipment, content=Path(shipment.path).read_bytes())
+                models = replace(models, content=Path(models.path).read_bytes())
             try:
-                future = self._executor.submit(_answer, shipment, self._packed[place], self._order)
+                future = self._executor.submit(_answer, models, self._packed[place], self._order)
             except RuntimeError:  # it is broken, or has been shut down
                 queue.appendleft(place)
                 self._is_broken = True

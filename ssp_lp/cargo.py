@@ -70,7 +70,7 @@ class _Unpickler(pickle.Unpickler):
     persistent_load: Callable[[Any], SSP]
 
 
-class Cargo:
+class Store:
     """Problems and answers in transit, whose models are stored in a file.
 
     Outside the file a model is named by its place, a position in the file. For each model the file
@@ -103,7 +103,7 @@ class Cargo:
                 begin = file.tell()
                 file.write(buffer.raw())
                 spans.append((begin, file.tell()))
-            self.know(file.tell(), model)
+            self.register(file.tell(), model)
             pickle.dump((stream, spans), file)
 
     def pack(
@@ -129,7 +129,7 @@ class Cargo:
         unpickler.persistent_load = self._model_at
         return unpickler.load()
 
-    def know(self, place: int, model: SSP) -> None:
+    def register(self, place: int, model: SSP) -> None:
         """Register a model under its place in the file, unless one is registered there already."""
         self._places[id(self._models.setdefault(place, model))] = place
 
@@ -138,12 +138,12 @@ class Cargo:
         if place not in self._models:
             stream, spans = pickle.loads(self._content[place:])  # noqa: S301 (the caller's process)
             buffers = [self._content[begin:end] for begin, end in spans]
-            self.know(place, self.unpack(stream, buffers))
+            self.register(place, self.unpack(stream, buffers))
         return self._models[place]
 
 
 @dataclass(frozen=True)
-class Shipment:
+class Models:
     """A file of models. ``content`` is its content, for processes that cannot read the file."""
 
     path: str
@@ -151,7 +151,7 @@ class Shipment:
 
 
 @lru_cache(maxsize=1)
-def unloaded(shipment: Shipment) -> Cargo:
+def loaded(models: Models) -> Store:
     """Return the cargo of a shipment in this process.
 
     The last one is cached, so that a worker reads the models of a call once.
@@ -159,7 +159,7 @@ def unloaded(shipment: Shipment) -> Cargo:
     Raises:
         OSError: the file cannot be read from here.
     """
-    if shipment.content is not None:
-        return Cargo(shipment.content)
-    with Path(shipment.path).open("rb") as file:
-        return Cargo(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
+    if models.content is not None:
+        return Store(models.content)
+    with Path(models.path).open("rb") as file:
+        return Store(memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))

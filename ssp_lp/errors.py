@@ -82,14 +82,14 @@ class InfeasibleError(SSPError):
 
     def __init__(
         self,
-        *told: str | Argument,
+        *message: str | Argument,
         failure_budget: float | None,
         least_failure: float | Callable[[], float],
         least_discounted_failure: float | None = None,
         conflicting_rows: tuple[str, ...] = (),
         least_failure_bound: float = 0.0,
     ) -> None:
-        super().__init__(*told)
+        super().__init__(*message)
         self._least_failure_bound = least_failure_bound
         self.failure_budget = failure_budget
         self._least_failure = least_failure
@@ -154,9 +154,9 @@ def optional_module(name: str, extra: str) -> ModuleType:
         raise MissingDependencyError(name.partition(".")[0], extra) from error
 
 
-def wrong_argument(name: str, wanted: str, given: object, hint: str = "") -> ModelError:
+def wrong_argument(name: str, requirement: str, value: object, hint: str = "") -> ModelError:
     """Return the error for a wrong argument: the requirement, the value, and a hint."""
-    return ModelError(Argument(name), f" must {wanted}, not {in_short(given)}{hint}")
+    return ModelError(Argument(name), f" must {requirement}, not {in_short(value)}{hint}")
 
 
 def attributes_of(thing: object, *names: str) -> dict[str, Any]:

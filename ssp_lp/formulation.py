@@ -85,9 +85,9 @@ from ssp_lp.processes.quantities import (
     end_probability as end_probability,
     expected_cost as expected_cost,
     failure_probability as failure_probability,
-    followed_by,
     goal_probability as goal_probability,
     objective_of,
+    run_events,
     secondary_cost as secondary_cost,
     visits as visits,
 )
@@ -263,7 +263,7 @@ class Formulation(Problem):
         if not self.all_constraints and self.quantity is None:
             return self
         model, begin = self.model, cast("IntArray", np.flatnonzero(self.start_mass))
-        for followed in followed_by(limit for _, limit in limits_of(self)):
+        for followed in run_events(limit for _, limit in limits_of(self)):
             if followed_in(model, followed) is None:
                 automaton = followed.automaton(model)
                 limits = (pair for pair in limits_of(self) if automaton.unit > 0.0)

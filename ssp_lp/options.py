@@ -226,7 +226,7 @@ def options_of(
         raise ModelError(f"progress must be a function or None, not {progress!r}: pass "
                          "verbose=True to show how far work has come")  # fmt: skip
 
-    def told(calls: int, price: float, objective: float) -> None:
+    def report(calls: int, price: float, objective: float) -> None:
         """Report to the logger, then to the caller's ``progress``."""
         _SEARCH.debug("%d pricing calls, price %.6g, objective %.9g", calls, price, objective)
         if progress is not None:
@@ -238,7 +238,7 @@ def options_of(
     if isinstance(method, DeterministicPolicies):
         method = parse_method(method.relaxation)
     program = method if isinstance(method, LinearProgramming) else None
-    return SolveOptions(float(tolerance), deadline, told, program, single, tail)
+    return SolveOptions(float(tolerance), deadline, report, program, single, tail)
 
 
 def deadline_of(time_limit: float | None, began: float, name: str = "time_limit") -> float:

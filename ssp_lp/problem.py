@@ -218,7 +218,7 @@ def resolution_of(problem: Problem) -> Resolution | None:
     if resolution is None or not isinstance(charge, ExponentialUtility) or problem.has_rows:
         return resolution
     # do few totals lie below the cost from which a stationary policy is optimal?
-    most, facts = min(levels or MOST_SUMS, MOST_SUMS), problem.model.kept_facts
+    most, facts = min(levels or MOST_SUMS, MOST_SUMS), problem.model.cached_facts
     if (key := f"{most} sums: {charge}") not in facts:
         facts_of = GoalFacts(problem.model, problem.start_mass)
         horizon = LayerAndTails(facts_of, utility=charge).cost_horizon
@@ -240,7 +240,7 @@ def least_failure_bound(problem: Problem) -> float | None:
     if problem.failure_budget is not None:
         return None
     model, start, survival = problem.model, problem.start_mass, survival_of(problem.discount)
-    return greatest_goal_reach(model, survival, start, last_digits=False).least_failure(start)
+    return greatest_goal_reach(model, survival, start, precise=False).least_failure(start)
 
 
 def compiled_constrained(problem: Problem) -> CompiledExplicit:
@@ -291,7 +291,7 @@ def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledLayere
 
 
 @dataclass(frozen=True, eq=False)
-class Restated(Problem):
+class RestatedProblem(Problem):
     """A problem that a method solves in place of another one, with other costs or semantics."""
 
     model: SSP

@@ -38,7 +38,7 @@ from ssp_lp.policies.table import PolicyTable
 from ssp_lp.problem import Problem, on_one_model, pulled_back
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import (
-    AS_ASKED,
+    AS_IS,
     Aim,
     FailureSemantics,
     GiveUp,
@@ -382,7 +382,7 @@ class Solution(Facts, ReadOnlyCopies):
         setting = "exact" if discount is None else f"discount {discount:g}"
         horizon = self.problem.horizon
         within = "" if horizon is None else f", within {horizon:,} step{'s' * (horizon > 1)}"
-        return f"{type(self.problem).__name__}, {self._asked}{within}, {setting}"
+        return f"{type(self.problem).__name__}, {self._limit_on_failing}{within}, {setting}"
 
     def tables(self) -> list[Table]:
         """Return a table of objective, bounds, ways of failing, costs, prices and method."""
@@ -421,7 +421,7 @@ class Solution(Facts, ReadOnlyCopies):
         return f"{words}; give_up='dead_ends' forbids it"
 
     @property
-    def _asked(self) -> str:
+    def _limit_on_failing(self) -> str:
         """Limit on failing, or the criterion's measure, in words."""
         budget, semantics = self.problem.failure_budget, self.problem.semantics
         limit = "least failure" if budget is None else f"failure budget {budget:g}"
@@ -486,9 +486,7 @@ class Answer:
     taken: Mapping[str, float] = field(default_factory=dict)  # of the limited rows, if measured
 
 
-def assembled(
-    problem: Problem, found: Answer, run: Run, sense: ObjectiveSense = AS_ASKED
-) -> Solution:
+def assembled(problem: Problem, found: Answer, run: Run, sense: ObjectiveSense = AS_IS) -> Solution:
     """Return the solution of a problem as stated, given a method's answer.
 
     Args:
@@ -503,8 +501,8 @@ def assembled(
     policy = found.policy
     if not isinstance(policy, MixedPolicy):
         policy = MixedPolicy((policy,), np.ones(1))
-    bound = sense.settled_bound(found.value, least_of(found.bound, found.value))
-    objective, limit = sense.worth(found.value), sense.worth_of_bound(bound)
+    bound = sense.bound_or_value(found.value, least_of(found.bound, found.value))
+    objective, limit = sense.stated(found.value), sense.stated_bound(bound)
     maximised, prices = sense.constant is not None, found.prices
     if not prices and found.price is not None and not problem.semantics.forbids_failing:
         prices = {FAILURE_ROW: found.price}

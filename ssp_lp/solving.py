@@ -182,7 +182,7 @@ def _error_without_answer(
     problem: Problem, deadline: Deadline, stop: BaseException | None
 ) -> BaseException:
     """Return the error of ``solve`` if the time ended before a policy was found."""
-    progress = stop.told if isinstance(stop, Stop) else ""
+    progress = stop.note if isinstance(stop, Stop) else ""
     if deadline.is_interrupted:
         return interrupted(progress)
     progress, model = progress or "no policy was evaluated", problem.model
@@ -221,14 +221,14 @@ def _check_solution(solution: Solution, deadline: float | None) -> None:
             most = granted.get(row.name, row.bound)
             if taken.get(row.name, np.inf) > most + _ROUNDING * row.size:
                 faults.append(
-                    f"it takes {taken[row.name]!r} of {row.told!r}, {row.bound!r} allowed"
+                    f"it takes {taken[row.name]!r} of {row.text!r}, {row.bound!r} allowed"
                 )
     if not taken and solution.problem.conditions and deadline is not None and not faults:
         left = deadline - time.perf_counter()
         with suppress(OutOfTimeError, ModelError):  # a law with too many totals
             limit = left if isfinite(left) else None
             evaluation = evaluate(solution.policy, solution.problem, time_limit=limit)
-            broken = broken_limit(solution.problem, evaluation, granted=granted)
+            broken = broken_limit(solution.problem, evaluation, raised_bounds=granted)
             faults += [broken] if broken else []
     if faults:
         raise SolverError(

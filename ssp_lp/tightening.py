@@ -150,7 +150,7 @@ class _Pool:
     box: Boxes
     ends: IntArray  # decisions that give up wherever a plan may, [states]
     charges: FloatArray  # of ending there, [states]
-    surely: BoolArray  # states from which these surely end, [states]
+    surely_ends: BoolArray  # states from which these surely end, [states]
     plans: dict[tuple[float, float], Policy] = field(default_factory=dict)  # by their worst values
     lower_bound: float = 0.0
     adverse_price: float = 0.0  # of the last optimum at adverse probabilities
@@ -207,7 +207,7 @@ class _Pool:
         reached[boxed_chain(box, plan, start).chain.state] = True
         decision = np.where(reached, cast("DeterministicPolicy", plan).decision, self.ends)
         missed = (~model.goal_mask).astype(np.float64)
-        acting = self.surely & (decision != UNDECIDED)
+        acting = self.surely_ends & (decision != UNDECIDED)
         stops = np.flatnonzero(reached & (self.ends == GIVE_UP_CODE))
         charges = missed * self.charges
         cost = worst_loss(box, decision, acting, charges, charges)

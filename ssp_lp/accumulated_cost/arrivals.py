@@ -566,7 +566,7 @@ class TooManySumsError(ModelError):
     """Too many sums to follow them one by one."""
 
 
-class FollowedSums(Arrivals):
+class SumArrivals(Arrivals):
     """Arrivals at sums of costs: layers of a tiny unit, of which few have waiting mass.
 
     Likely sums are followed exactly. Mass at an unlikely sum is rounded up to the next multiple of

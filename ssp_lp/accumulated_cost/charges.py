@@ -48,11 +48,11 @@ def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> Flo
     return worth
 
 
-def _check_monotone(worth: FloatArray, growth: FloatArray, costs: FloatArray, rule: str) -> None:
+def _check_monotone(values: FloatArray, growth: FloatArray, costs: FloatArray, rule: str) -> None:
     """Check the sign of a function of the cost and of its differences.
 
     Args:
-        worth: values that must be non-negative, [costs].
+        values: values that must be non-negative, [costs].
         growth: differences of neighbouring values that must be non-negative, [costs - 1].
         costs: increasing, [costs].
         rule: beginning of the error's message.
@@ -60,7 +60,7 @@ def _check_monotone(worth: FloatArray, growth: FloatArray, costs: FloatArray, ru
     Raises:
         ModelError: a value or a difference is negative.
     """
-    wrong = (worth < 0.0) | np.append(growth < 0.0, False)
+    wrong = (values < 0.0) | np.append(growth < 0.0, False)
     if wrong.any():
         raise ModelError(f"{rule}: it does at cost {float(costs[int(np.argmax(wrong))]):g}")
 
@@ -110,7 +110,7 @@ class Charge(ABC):
 
     @property
     def slope(self) -> float:
-        """Slope of the affine part, which begins at total cost ``settled``."""
+        """Slope of the affine part, which begins at total cost ``affine_from_total``."""
         return 0.0
 
     @property
@@ -128,7 +128,7 @@ class Charge(ABC):
         """Return the charge at total costs, in the shape of ``totals``."""
 
     @property
-    def settled(self) -> float | None:
+    def affine_from_total(self) -> float | None:
         """Total cost beyond which the charge is affine; None if it never is."""
         return 0.0
 
@@ -137,7 +137,7 @@ class Charge(ABC):
         line = self.offset + self.slope * total
         return bool(np.isclose(float(self.at(np.array([total]))[0]), line, rtol=1e-9))
 
-    def lossless(self, price: float) -> float:
+    def lossless_total(self, price: float) -> float:
         """Return the total at which the affine part equals a price of failing; 0 if constant."""
         return max((price - self.offset) / self.slope, 0.0) if self.slope > 0.0 else 0.0
 
@@ -180,10 +180,10 @@ class LateCharge(Charge):
 
     def at(self, totals: FloatArray) -> FloatArray:
         """Return 0 within the bound and 1 beyond it, in the shape of ``totals``."""
-        return np.where(np.asarray(totals) <= self.settled, self.lowest, self.offset)
+        return np.where(np.asarray(totals) <= self.affine_from_total, self.lowest, self.offset)
 
     @property
-    def settled(self) -> float:
+    def affine_from_total(self) -> float:
         """The bound, with a tolerance for rounding."""
         return float(self.bound) * (1.0 + SAME_TOTAL)
 
@@ -218,7 +218,7 @@ class ExcessCharge(Charge):
         return np.asarray(np.clip(totals, first, self.threshold) + late * self.slope)
 
     @property
-    def settled(self) -> float:
+    def affine_from_total(self) -> float:
         """The threshold, from which the charge is affine."""
         return self.threshold
 
@@ -294,7 +294,7 @@ class ExpectedUtility(Reward):
     utility: Utility
     bonus: float
     at_infinity: float
-    settled = None  # the total from which a utility is constant is unknown
+    affine_from_total = None  # the total from which a utility is constant is unknown
 
     @property
     def failing(self) -> float:
@@ -423,7 +423,7 @@ class ExpectedArrivalCost(Charge, Measure):
         return charge[back].reshape(np.shape(totals))
 
     @property
-    def settled(self) -> float:
+    def affine_from_total(self) -> float:
         """Total cost from which f is affine."""
         return self.affine_from
 

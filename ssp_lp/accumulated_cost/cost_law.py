@@ -14,8 +14,8 @@ import numpy as np
 from ssp_lp.accumulated_cost.arrivals import (
     UNLIKELY,
     Arrivals,
-    FollowedSums,
     LiveChain,
+    SumArrivals,
     TooManySumsError,
     cost_of,
 )
@@ -267,7 +267,7 @@ class CostLaw:
         numbers = zip(self._chains, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 
-    def _answer(self, question: Callable[[Arrivals], _Answer]) -> _Answer:
+    def _answer(self, function: Callable[[Arrivals], _Answer]) -> _Answer:
         """Return the result of a function on the first sweep for which it does not fail.
 
         Raises:
@@ -276,7 +276,7 @@ class CostLaw:
         refused = list[ModelError]()
         for sweep in self._sweeps():
             try:
-                return question(sweep)
+                return function(sweep)
             except ModelError as error:
                 refused.append(error)
         raise next(e for e in reversed(refused) if not isinstance(e, TooManySumsError))
@@ -311,14 +311,14 @@ class CostLaw:
             return None
 
     @cached_property
-    def _sums(self) -> FollowedSums:
+    def _sums(self) -> SumArrivals:
         """Arrivals at the sums of costs, with unlikely sums rounded up."""
         how = self._live, self._exact_costs, self._coarse_unit
         if (
             self._layers is not None and not self._layers.is_narrow
         ):  # which are exact, and come next
-            return FollowedSums(*how, _MOST_SUMS_BESIDE)
-        return FollowedSums(*how, _MOST_SUMS_BESIDE if self._rounded else _MOST_SUMS, _RAREST)
+            return SumArrivals(*how, _MOST_SUMS_BESIDE)
+        return SumArrivals(*how, _MOST_SUMS_BESIDE if self._rounded else _MOST_SUMS, _RAREST)
 
     @cached_property
     def _rounded_sweep(self) -> Arrivals:

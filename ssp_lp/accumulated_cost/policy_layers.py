@@ -152,14 +152,14 @@ class LayerMoves:
         return strong_components(begins, model.successors, model.probabilities * staying).order
 
     @with_twin
-    def meet(self, begin: int, end: int, hopeful: BoolArray) -> None:
+    def mark_backwards(self, begin: int, end: int, alive: BoolArray) -> None:
         """Mark the states, in a range of layers, from which the policy may reach marked states.
 
         Args:
             begin: the first layer. Between ``begin`` and ``end``, each class of steps must pass a
                 fixed number of layers.
             end: the layer after the last one. Layers are marked from the last one backwards.
-            hopeful: marks, updated, [layers + ``room``, states]: of all layers, and of those that
+            alive: marks, updated, [layers + ``room``, states]: of all layers, and of those that
                 steps reach beyond the last one.
         """
         check_time()
@@ -170,36 +170,36 @@ class LayerMoves:
             from ssp_lp.compiled.layers import stream_marks
 
             own = decision[begin:end], self.acting, model.pair_offsets
-            rest = leads, self.free_order, hopeful[begin:]
+            rest = leads, self.free_order, alive[begin:]
             stream_marks(decision[begin:end].size)(*own, *self.outcomes, *rest)
             return
         everywhere = np.arange(model.n_states)
         for layer in backward(end, begin):
             pairs = self.pairs(layer, everywhere)
             source, outcome, step = self._taken(pairs, leads >= 0)
-            met = hopeful[layer + leads[step], model.successors[outcome]]
-            hopeful[layer, source[met]] = True
+            met = alive[layer + leads[step], model.successors[outcome]]
+            alive[layer, source[met]] = True
             staying = self.staying(everywhere, pairs, self.ring(layer))
             if staying is not None:
-                back, begins = staying.share.tocsc(), np.flatnonzero(hopeful[layer])
-                hopeful[layer] |= reached_along(back.indices, back.indptr, begins)
+                back, begins = staying.share.tocsc(), np.flatnonzero(alive[layer])
+                alive[layer] |= reached_along(back.indices, back.indptr, begins)
 
     def follow(
         self,
         waiting: FloatArray,
         survivals: Sequence[float] = (1.0,),
-        hopeful: BoolArray | None = None,
+        alive: BoolArray | None = None,
         first: int = 0,
     ) -> Iterator[tuple[int, IntArray, IntArray, FloatArray]]:
         """Follow mass layer by layer; mass beyond the last layer stays in the ring buffer.
 
         Args:
             waiting: mass in the rows of the ring buffer, [rows, states, columns], updated. With
-                ``hopeful`` there are three columns for each discount: mass that has not lost the
+                ``alive`` there are three columns for each discount: mass that has not lost the
                 goal, this mass times the cost paid, and mass that has lost the goal. Without
-                ``hopeful`` there is one column of mass.
+                ``alive`` there is one column of mass.
             survivals: the discounts.
-            hopeful: mask of the states from which the goal can be reached, [layers, states].
+            alive: mask of the states from which the goal can be reached, [layers, states].
             first: the first layer.
 
         Yields:
@@ -218,7 +218,7 @@ class LayerMoves:
             pairs, visits = self.pairs(layer, here), row[here]
             row[here] = 0.0
             staying, moving = self.staying(here, pairs, ring), pairs >= 0
-            hopes = moving if hopeful is None else hopeful[layer, here]
+            hopes = moving if alive is None else alive[layer, here]
             closed = np.False_ if staying is None else staying.closed(moving)
             sent = np.empty_like(visits)
             for k, survival in enumerate(survivals):
@@ -254,7 +254,7 @@ class LayerMoves:
         waiting: FloatArray,
         stopped: FloatArray,
         survivals: Sequence[float] = (1.0,),
-        hopeful: BoolArray = _NO_MARKS,
+        alive: BoolArray = _NO_MARKS,
         charged: tuple[FloatArray, FloatArray, BoolArray, bool] = _UNCHARGED,
     ) -> FloatArray | None:
         """Follow mass in one compiled pass through the first layers, as far as possible.
@@ -265,7 +265,7 @@ class LayerMoves:
             waiting: mass, as for ``follow``.
             stopped: written: mass that ends in each state, and mass that gives up, [2, states].
             survivals: the discounts.
-            hopeful: mask of the states from which the goal can be reached, [layers, states]; empty
+            alive: mask of the states from which the goal can be reached, [layers, states]; empty
                 if ``waiting`` has one column.
             charged: mean cost of a step, [pairs]; cost of failing, [states]; whether giving up is
                 forbidden, [states]; and whether costs are paid after the goal is lost.
@@ -287,7 +287,7 @@ class LayerMoves:
                 check_time()
                 some = slice(first, min(first + several, layers.even))
                 if not stream_evenly(
-                    waiting, first, layers.decision[some], hopeful[some], self.acting,
+                    waiting, first, layers.decision[some], alive[some], self.acting,
                     model.goal_mask, model.pair_offsets, *self.outcomes, leads, layers.costs,
                     *charged, 3 * k, survival, totals[k, some], ends,
                 ):  # fmt: skip
@@ -358,12 +358,12 @@ class LayerMoves:
         successors = model.successors.view(np.uint32)
         return model.outcome_offsets, successors, model.probabilities, self.classes
 
-    def _taken(self, pairs: IntArray, wanted: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+    def _taken(self, pairs: IntArray, in_classes: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
         """Return the moves of some classes: position of the pair, outcome and class, [moves] each.
 
         Args:
             pairs: the pair taken in each of k states, negative if none, [k].
-            wanted: mask of the classes, [classes].
+            in_classes: mask of the classes, [classes].
         """
         where = np.flatnonzero(pairs >= 0)
         begin = self.model.outcome_offsets[pairs[where]]
@@ -371,8 +371,8 @@ class LayerMoves:
         outcome, source = concatenated_ranges(begin, counts), np.repeat(where, counts)
         kept = self.model.probabilities[outcome] > 0.0
         if self.classes.size:
-            kept &= wanted[self.classes[outcome]]
-        elif not wanted.all():
+            kept &= in_classes[self.classes[outcome]]
+        elif not in_classes.all():
             kept[:] = False
         source, outcome = source[kept], outcome[kept]
         return source, outcome, self.classes[outcome] if self.classes.size else 0 * outcome
@@ -396,7 +396,7 @@ def giving_up_where_lost(policy: MixedPolicy) -> MixedPolicy:
         layers = member.layers()
         if isinstance(member, CostAwarePolicy) and layers is not None:
             moves = LayerMoves(member.model, layers)
-            lost = (~hopes for hopes in hopeful_layers(moves))
+            lost = (~hopes for hopes in alive_layers(moves))
             decision, tails = (
                 np.where(moves.acting & (taken >= 0) & there[: len(taken)], GIVE_UP_CODE, taken)
                 for taken, there in zip((layers.decision, layers.tails), lost, strict=True)
@@ -405,7 +405,7 @@ def giving_up_where_lost(policy: MixedPolicy) -> MixedPolicy:
     return replace(policy, policies=tuple(members))
 
 
-def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
+def alive_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
     """Return masks of the states from which a cost-aware policy may reach the goal.
 
     Returns:
@@ -422,16 +422,16 @@ def hopeful_layers(moves: LayerMoves) -> tuple[BoolArray, BoolArray]:
         followed[tail[tail >= 0]] = True
         nearer = nearer_pairs(model, None, followed, ends=model.goal_mask)
         beyond[number] = model.goal_mask | (nearer >= 0)
-    hopeful = np.empty((count + moves.room, model.n_states), dtype=np.bool_)
-    hopeful[:count] = model.goal_mask
-    for layer in range(count, len(hopeful)):
-        hopeful[layer] = beyond[layers.tail_at(layer), np.arange(model.n_states)]
+    alive = np.empty((count + moves.room, model.n_states), dtype=np.bool_)
+    alive[:count] = model.goal_mask
+    for layer in range(count, len(alive)):
+        alive[layer] = beyond[layers.tail_at(layer), np.arange(model.n_states)]
     end, several = count, max(_AT_ONCE // max(model.n_states, 1), 1)
     while end > 0:
         begin = max(end - several, 0) if end <= layers.even else end - 1
-        moves.meet(begin, end, hopeful)
+        moves.mark_backwards(begin, end, alive)
         end = begin
-    return hopeful, beyond
+    return alive, beyond
 
 
 def landed_chains(moves: LayerMoves, waiting: FloatArray) -> Iterator[tuple[Chain, FloatArray]]:

@@ -66,7 +66,7 @@ class AccumulatedCost:
     start: FloatArray  # [nodes]
     start_goal: float  # start mass on goals
     start_failure: float  # start mass on dead-ends
-    departs: FloatArray  # [pairs] divisors of the rows, which count departures from a node
+    escape: FloatArray  # [pairs] divisors of the rows, which count departures from a node
     arrivals: sp.csr_array | None = None  # [pairs, width] steps into the goal by layers ahead
     last_steps: FloatArray | None = None  # [width] their costs, if classes are indices of costs
 
@@ -159,18 +159,18 @@ def spread_layer(base: AccumulatedCost, spread: Spread, start: FloatArray) -> Ac
     instant, later = _steps_by_cost(spread.quotient, base.step_classes, base.survival)
     arrivals, own = base.arrivals, np.maximum(spread.place, 0)
     if arrivals is not None:
-        factor = np.where(spread.place >= 0, spread.departs, 0.0)
+        factor = np.where(spread.place >= 0, spread.escape, 0.0)
         arrivals = _scaled_rows(sp.csr_array(arrivals[own]), factor)
     return replace(
         base,
         quotient=spread.quotient,
         instant=instant,
         later=later,
-        gain=spread.per_taking(base.gain),
-        gain_cost=spread.per_taking(base.gain_cost),
-        failure=spread.per_taking(base.failure),
+        gain=spread.per_visit(base.gain),
+        gain_cost=spread.per_visit(base.gain_cost),
+        failure=spread.per_visit(base.failure),
         start=spread.quotient.gather(start),
-        departs=np.ones(len(spread.place)),
+        escape=np.ones(len(spread.place)),
         arrivals=arrivals,
     )
 
@@ -234,7 +234,7 @@ def accumulate_cost(
         start=quotient.gather(start),
         start_goal=float(start[model.goal_mask].sum()),
         start_failure=float(start[quotient.dead].sum()),
-        departs=np.ones(len(quotient.pair_at)),
+        escape=np.ones(len(quotient.pair_at)),
         arrivals=None if to_goal is None else live_rows(to_goal).matrix,
         last_steps=last,
     )
@@ -247,18 +247,18 @@ def _departing(base: AccumulatedCost) -> AccumulatedCost:
     leak = base.gain + base.failure + np.asarray(later.sum(axis=1)).ravel()
     instant = base.instant.copy()
     instant.sum_duplicates()
-    instant, departs = without_self_loops(instant, base.quotient.pair_node, leak)
-    if (departs == 1.0).all():
+    instant, escape = without_self_loops(instant, base.quotient.pair_node, leak)
+    if (escape == 1.0).all():
         return base
-    arrivals, share = base.arrivals, 1.0 / departs
+    arrivals, share = base.arrivals, 1.0 / escape
     return replace(
         base,
         instant=instant,
         later=_scaled_rows(later, share),
-        gain=base.gain / departs,
-        gain_cost=base.gain_cost / departs,
-        failure=base.failure / departs,
-        departs=departs,
+        gain=base.gain / escape,
+        gain_cost=base.gain_cost / escape,
+        failure=base.failure / escape,
+        escape=escape,
         arrivals=None if arrivals is None else _scaled_rows(arrivals, share),
     )
 

@@ -108,7 +108,7 @@ _OnePass: TypeAlias = tuple[_Layers, FloatArray, bool]
 whether the pass is compiled."""
 
 
-class Priced(NamedTuple):
+class SweepCosts(NamedTuple):
     """Data of a minimisation: costs of pairs and of ends, and values beyond the cap."""
 
     owed: FloatArray  # [pairs] cost in addition to the charge, non-negative
@@ -142,7 +142,7 @@ class Sweep:
 
     process: ChargedLayers
     counted: FloatArray  # [pairs, counted] rewards in addition to the charge
-    on_top: FloatArray | None = None  # [pairs] added to the charge in every layer
+    added: FloatArray | None = None  # [pairs] added to the charge in every layer
 
     @classmethod
     def of_ends(cls, process: ChargedLayers) -> Sweep:
@@ -156,11 +156,11 @@ class Sweep:
         return self.process.base.pair_offsets[:-1]
 
     def charged(self, layer: int) -> PairCost:
-        """Return the charges of the pairs of a layer, with the field ``on_top`` added, [pairs]."""
+        """Return the charges of the pairs of a layer, with the field ``added`` added, [pairs]."""
         charge = self.process.charged(layer)
-        return charge if self.on_top is None else replace(charge, fixed=charge.fixed + self.on_top)
+        return charge if self.added is None else replace(charge, fixed=charge.fixed + self.added)
 
-    def room_for_choice(self, layers: int | None = None) -> IntArray:
+    def empty_choice(self, layers: int | None = None) -> IntArray:
         """Allocate an array for the choice in each layer, in the smallest integer type."""
         most = int(np.diff(self.process.base.pair_offsets).max(initial=1))
         size = self.process.cap if layers is None else layers, len(self.first_pairs)
@@ -168,33 +168,33 @@ class Sweep:
 
     @with_twin
     def minimise(
-        self, priced: Priced, choice: IntArray, begun: FloatArray | None = None
+        self, costs: SweepCosts, choice: IntArray, interrupted: FloatArray | None = None
     ) -> FloatArray:
         """Find the optimal choice; return its measures from the start, [1 + counted].
 
         Args:
-            priced: costs to minimise, and values beyond the cap.
+            costs: costs to minimise, and values beyond the cap.
             choice: written, [cap, nodes].
-            begun: written: value and, if computed, measures of an episode that begins in each
+            interrupted: written: value and, if computed, measures of an episode that begins in each
                 layer, [cap, 1 + 1 + counted].
 
         Raises:
             Stop: the time limit was reached; it carries the finished part of the sweep.
         """
-        base, values, measures = self.process.base, priced.beyond, priced.measures
+        base, values, measures = self.process.base, costs.beyond, costs.measures
         entries = np.flatnonzero(base.start)
         shares = base.start[entries]
         if (one_pass := self.one_pass) is not None:
-            for some, swept, last in self._blocks(one_pass, priced, values, measures, choice):
+            for some, swept, last in self._blocks(one_pass, costs, values, measures, choice):
                 measures = last
-                if begun is not None:
-                    begun[some, 0] = swept[:, entries] @ shares
-                    begun[some, 1:] = shares @ measures[:, entries]
+                if interrupted is not None:
+                    interrupted[some, 0] = swept[:, entries] @ shares
+                    interrupted[some, 1:] = shares @ measures[:, entries]
             return expected(base.start, measures[0])
-        cost, inner = self._pair_costs(priced), self._first_choice
+        cost, inner = self._pair_costs(costs), self._first_choice
 
         def best(
-            layer: int, ahead: FloatArray, measured: FloatArray | None = None
+            layer: int, ahead: FloatArray, measures: FloatArray | None = None
         ) -> tuple[FloatArray, ...]:
             """Write a layer's optimal choice; return its values, and its measures if needed."""
             nonlocal inner
@@ -207,11 +207,11 @@ class Sweep:
                 settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
                 inner, least = settled.choice, settled.values
             choice[layer] = inner - self.first_pairs
-            if begun is not None:
-                begun[layer, 0] = least[entries] @ shares
-            return (least,) if measured is None else (least, self._measures(layer, inner, measured))
+            if interrupted is not None:
+                interrupted[layer, 0] = least[entries] @ shares
+            return (least,) if measures is None else (least, self._measures(layer, inner, measures))
 
-        part = PartOfSweep(choice, priced.price, self.process.cap, None)
+        part = PartOfSweep(choice, costs.price, self.process.cap, None)
         try:
             beyond = (values,) if self.can_follow else (values, measures)
             for layer, numbers in self._backward(best, *beyond):
@@ -234,27 +234,27 @@ class Sweep:
         start = self.process.base.start
         one_pass = None if self.by_blocks and self.can_follow else self.one_pass
         if one_pass is not None:
-            given = Priced(_NONE, _NONE, _NONE), beyond[:, :, 0], beyond, choice
-            blocks = self._blocks(one_pass, *given, keeps=True)
+            given = SweepCosts(_NONE, _NONE, _NONE), beyond[:, :, 0], beyond, choice
+            blocks = self._blocks(one_pass, *given, is_fixed=True)
             return expected(start, deque(blocks, maxlen=1)[0][2][0])
         if self.can_follow:
             return self.follow(choice, beyond)
 
-        def measured(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
+        def measures(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
             """Return the measures of each node of a layer if it takes the pairs of ``choice``."""
             return (self._measures(layer, self.first_pairs + choice[layer], ahead),)
 
-        swept = self._backward(measured, beyond)
+        swept = self._backward(measures, beyond)
         return expected(start, deque(swept, maxlen=1)[0][1][0])
 
     def bound(
-        self, priced: Priced, given: FloatArray, choice: IntArray | None = None
+        self, costs: SweepCosts, ceiling: FloatArray, choice: IntArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Return lower bounds of the values of all policies, rounded down, by a backward sweep.
 
         Args:
-            priced: costs to minimise, and lower bounds of the values beyond the cap.
-            given: numbers that the bounds must not exceed, [cap, nodes]; infinite: no limit.
+            costs: costs to minimise, and lower bounds of the values beyond the cap.
+            ceiling: numbers that the bounds must not exceed, [cap, nodes]; infinite: no limit.
             choice: written: the minimising choice, [cap, nodes]; None if there are free steps.
 
         Returns:
@@ -262,12 +262,12 @@ class Sweep:
             If the table of values would be too large to store, every value returned is infinite.
         """
         process, base = self.process, self.process.base
-        inner, floor = self._first_choice, priced.floor
+        inner, floor = self._first_choice, costs.floor
 
         def lower(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
             """Return the lower bounds of a layer; with steps of cost 0, by policy iteration."""
             nonlocal inner
-            most, is_free = given[layer], bool(np.isposinf(given[layer]).all())
+            most, is_free = ceiling[layer], bool(np.isposinf(ceiling[layer]).all())
             if not is_free:
                 most = _at_least(most, floor)
             pair_cost, size, alone = cost(layer)
@@ -286,17 +286,17 @@ class Sweep:
 
         blocks: Iterable[tuple[slice, FloatArray]]
         if (one_pass := self.one_pass) is None:
-            cost = self._pair_costs(priced, sizes=True)
-            layers = self._backward(lower, priced.beyond)
+            cost = self._pair_costs(costs, sizes=True)
+            layers = self._backward(lower, costs.beyond)
             blocks = ((slice(layer, layer + 1), lowest[None]) for layer, (lowest,) in layers)
         else:
-            swept = self._blocks(one_pass, priced, priced.beyond, choice=choice, limits=given)
+            swept = self._blocks(one_pass, costs, costs.beyond, choice=choice, limits=ceiling)
             blocks = ((some, lowest) for some, lowest, _ in swept)
-        is_kept = given.size <= KEPT_VALUES
+        is_kept = ceiling.size <= KEPT_VALUES
         kept = (
-            np.empty(given.shape, order="F" if self.by_blocks else "C")
+            np.empty(ceiling.shape, order="F" if self.by_blocks else "C")
             if is_kept
-            else np.broadcast_to(np.inf, given.shape)
+            else np.broadcast_to(np.inf, ceiling.shape)
         )
         begun, sizes = np.zeros((2, process.cap))
         entries = np.flatnonzero(base.start)
@@ -306,12 +306,12 @@ class Sweep:
             sizes[some] = np.abs(lowest[:, entries]) @ shares
             if is_kept:
                 kept[some] = lowest
-        ended = np.array(priced.at_start).reshape(-1, 2).prod(axis=1)
+        ended = np.array(costs.at_start).reshape(-1, 2).prod(axis=1)
         terms = len(entries) + int(np.count_nonzero(ended))  # number of products in the sum
         if terms == 1 and (
             shares[0] == 1.0
             if len(entries)
-            else all(Fraction(w) * Fraction(a) == Fraction(w * a) for w, a in priced.at_start)
+            else all(Fraction(w) * Fraction(a) == Fraction(w * a) for w, a in costs.at_start)
         ):
             terms = 0  # a single exact product
         loss = terms * MACHINE_EPSILON * (sizes + float(np.abs(ended).sum()))
@@ -336,7 +336,7 @@ class Sweep:
                 follow_layers(layers, some.start, choice[some], ring, swept)
             sums, left = [swept.sum(axis=1).tolist()], ring[np.arange(cap, cap + span) % len(ring)]
         else:
-            mass = self._begun_mass
+            mass = self._start_mass
             for layer in range(process.cap):
                 sums.append(mass.follow(choice[layer], self.charged(layer)).tolist())
             left = mass.left
@@ -345,12 +345,12 @@ class Sweep:
         return np.array([fsum(each) for each in zip(*sums, strict=True)])
 
     @property
-    def _begun_mass(self) -> _LayerMass:
+    def _start_mass(self) -> _LayerMass:
         return _LayerMass(self.process.base, self.counted, self.process.totals)
 
     def mass_beyond(self, choice: IntArray) -> FloatArray:
         """Return a choice's mass beyond the cap, by a forward sweep, [layers beyond, nodes]."""
-        mass = self._begun_mass
+        mass = self._start_mass
         for chosen in choice:
             mass.follow(chosen, PairCost(self.process.base.gain_cost))
         return mass.left
@@ -358,23 +358,23 @@ class Sweep:
     def _blocks(
         self,
         compiled: _OnePass,
-        priced: Priced,
+        costs: SweepCosts,
         values: FloatArray,
         measures: FloatArray | None = None,
         choice: IntArray | None = None,
         *,
-        keeps: bool = False,
+        is_fixed: bool = False,
         limits: FloatArray | None = None,
     ) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
         """Sweep blocks of layers in the compiled pass, the last block first.
 
         Args:
             compiled: input of the pass.
-            priced: costs to minimise.
+            costs: costs to minimise.
             values: values beyond the cap, [layers beyond, nodes].
             measures: measures beyond the cap, [layers beyond, nodes, 1 + counted], or None.
-            choice: written, or given if ``keeps``, [cap, nodes].
-            keeps: whether to evaluate the given choice; the values then have no effect.
+            choice: written, or given if ``is_fixed``, [cap, nodes].
+            is_fixed: whether to evaluate the given choice; the values then have no effect.
             limits: upper limits, [cap, nodes], to compute lower bounds, rounded down; None:
                 compute the least values.
 
@@ -413,20 +413,20 @@ class Sweep:
             parts = [room[: many + len(a)] for room, a in zip(rooms, ahead, strict=True)]
             for part, later in zip(parts, ahead, strict=True):
                 part[many:] = later
-            given, task = _NO_LIMITS, (priced.charged, priced.owed, priced.saved)
+            given, task = _NO_LIMITS, (costs.charged, costs.owed, costs.saved)
             if limits is not None and not (by_blocks and bool(np.isposinf(limits[some]).all())):
-                given = _at_least(limits[some], priced.floor)
+                given = _at_least(limits[some], costs.floor)
             if by_blocks:
-                numbers, how = (room.T for room in rooms), (keeps, limits is not None, given)
+                numbers, how = (room.T for room in rooms), (is_fixed, limits is not None, given)
                 sweep_blocks(layers, block, *task, *numbers, position[some], *how)
             else:
-                own = parts[0].ravel(), parts[1].reshape(-1, counts), position[some], keeps
+                own = parts[0].ravel(), parts[1].reshape(-1, counts), position[some], is_fixed
                 run(layers, *task, *own, within, given)
             yield some, parts[0][:many], parts[1][:many]
             ahead = [part[:span] for part in parts]
 
     def _pair_costs(
-        self, priced: Priced, *, sizes: bool = False
+        self, costs: SweepCosts, *, sizes: bool = False
     ) -> Callable[[int], tuple[PairCost, FloatArray, FloatArray]]:
         """Return a function that computes a layer's pair costs, ``charge + owed - saved``.
 
@@ -434,10 +434,10 @@ class Sweep:
         terms' absolute values, and the greatest absolute value of a term.
 
         Args:
-            priced: costs to minimise.
+            costs: costs to minimise.
             sizes: whether the sizes are needed; if not, the function may return wrong ones.
         """
-        process, (owed, saved), weight = self.process, priced[:2], priced.charged
+        process, (owed, saved), weight = self.process, costs[:2], costs.charged
         alone = np.maximum(owed, saved)
         if process.grows_evenly:
             even, totals = self.charged(0), process.totals.values
@@ -561,7 +561,7 @@ class Sweep:
         """
         process, base, cap = self.process, self.process.base, self.process.cap
         arriving = process.arriving
-        columns = len(base.gain) if self.on_top is not None else len(arriving) + 1
+        columns = len(base.gain) if self.added is not None else len(arriving) + 1
         if not process.grows_evenly and columns * cap > _MOST_CHARGES:
             return None
         order: IntArray = np.arange(base.n_nodes, dtype=np.uint32)
@@ -587,8 +587,8 @@ class Sweep:
         if process.grows_evenly:
             even = self.charged(0)
             charge, growth = even.fixed[None, :], even.parts[1]
-        elif self.on_top is not None:
-            charge, growth = np.tile(self.on_top, (cap, 1)), _NONE
+        elif self.added is not None:
+            charge, growth = np.tile(self.added, (cap, 1)), _NONE
             charge[:, arriving] += process.charged_arriving(slice(0, cap))
         else:
             charge, growth = np.zeros((cap, columns)), _NONE
@@ -614,7 +614,7 @@ class Sweep:
 
 def _sweep_plainly(
     layers: _Layers, weight: float, owed: FloatArray, saved: FloatArray, values: FloatArray,
-    measured: FloatArray, position: IntArray, keeps: bool, _: FloatArray, given: FloatArray,
+    measures: FloatArray, position: IntArray, is_fixed: bool, _: FloatArray, ceiling: FloatArray,
 ) -> None:  # fmt: skip
     """Do the work of ``layers.sweep_layers`` in numpy, for layers without steps of cost 0."""
     n, offsets, nodes = layers.offsets.size - 1, layers.offsets.astype(np.int64), layers.nodes
@@ -635,23 +635,23 @@ def _sweep_plainly(
         ahead = slice(first, first + width)
         charged = layers.charge[layer if len(layers.charge) > 1 else 0][layers.column]
         growth = layers.paid[layer] * layers.growth if layers.growth.size else 0.0
-        if not keeps:
+        if not is_fixed:
             own, more = weight * charged, weight * growth
             total = own + more + owed - saved + steps @ values[ahead]
-            if given.size:
+            if ceiling.size:
                 size = np.abs(own) + more + owed + saved + steps @ np.abs(values[ahead])
                 single = size == np.maximum(alone, np.abs(own))
                 total = np.where(single, total, total - rounding * size)
             least = np.minimum.reduceat(total, begins)
-            values[here] = np.minimum(least, given[layer]) if given.size else least
-            if not given.size:
+            values[here] = np.minimum(least, ceiling[layer]) if ceiling.size else least
+            if not ceiling.size:
                 nearest = np.where(total == least.repeat(lengths), number, number.size)
                 position[layer] = np.minimum.reduceat(nearest, begins) - begins
-        if measured.size:
+        if measures.size:
             pick = begins + position[layer]
-            measured[here] = (steps @ measured[ahead])[pick]
-            measured[here, 0] += (charged + growth)[pick]
-            measured[here, 1:] += layers.counted[pick]
+            measures[here] = (steps @ measures[ahead])[pick]
+            measures[here, 0] += (charged + growth)[pick]
+            measures[here, 1:] += layers.counted[pick]
 
 
 def at_weights(
@@ -661,7 +661,7 @@ def at_weights(
     measures: FloatArray = _NONE,
     *,
     bounds: bool = False,
-) -> Priced:
+) -> SweepCosts:
     """Return the costs to minimise for weights of the charge and the counted rewards.
 
     Args:
@@ -677,10 +677,10 @@ def at_weights(
         owed, saved = owed + np.maximum(part, 0.0), saved - np.minimum(part, 0.0)
     if bounds:
         saved += weighted_rounding(sweep.counted, weights[1:]) * (owed + saved)
-    return Priced(owed, saved, beyond, measures, float(weights[0]))
+    return SweepCosts(owed, saved, beyond, measures, float(weights[0]))
 
 
-def at_price(sweep: Sweep, price: float, failing: float, *, bounds: bool = False) -> Priced:
+def at_price(sweep: Sweep, price: float, failing: float, *, bounds: bool = False) -> SweepCosts:
     """Return the costs to minimise at a price of failure; the sweep must count failure and goal.
 
     The cost of a run is its charge plus ``failing`` if it fails, or plus ``failing - price`` if it

@@ -28,7 +28,7 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray, concatenated_ranges, 
 from ssp_lp.compiled.deadline import pieces
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import dead_ends, kept
+from ssp_lp.model.graph import dead_ends, stored_with_model
 from ssp_lp.processes.live_rows import uniform_cost
 
 _MOST_LAYERS_PER_STEP = 1_000_000
@@ -208,13 +208,13 @@ the cheapest step."""
 _SHARE = 1e-3  # of the cheapest step
 
 
-@kept
+@stored_with_model
 def step_costs(model: SSP) -> tuple[StepClasses, FloatArray]:
     """Return the classes and distinct costs of the steps that do not end the episode."""
     return _numbered_costs(model, ~(dead_ends(model) | model.goal_mask))
 
 
-@kept
+@stored_with_model
 def last_steps(model: SSP) -> tuple[StepClasses, FloatArray]:
     """Return the classes and distinct costs of the steps into a goal."""
     return _numbered_costs(model, model.goal_mask)
@@ -239,12 +239,12 @@ def room_of(steps: FloatArray, cap: float) -> float:
     return min(_SAME * cap, _SHARE * cheapest)
 
 
-def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """Return the sums of step costs below a cap, increasing; None if more than ``most``."""
+def sums_of(steps: FloatArray, cap: float, max_sums: int) -> FloatArray | None:
+    """Return the sums of step costs below a cap, increasing; None if more than ``max_sums``."""
     moves, sums, room = steps[1:], np.zeros(1), room_of(steps, cap)
-    if moves.size and cap > (most + 1) * float(moves[0]):
+    if moves.size and cap > (max_sums + 1) * float(moves[0]):
         return None  # the multiples of the cheapest step are too many
-    fresh, chunk = sums, max(_PRODUCTS * (most + 1) // max(moves.size, 1), 1)
+    fresh, chunk = sums, max(_PRODUCTS * (max_sums + 1) // max(moves.size, 1), 1)
     while fresh.size:
         together = sums
         for begin in range(0, fresh.size, chunk):
@@ -252,25 +252,25 @@ def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
             reached = reached[reached < cap - room]
             together = np.unique(np.concatenate([together, reached]))
             together = together[np.diff(together, prepend=-np.inf) > room]
-            if together.size > most:
+            if together.size > max_sums:
                 return None
         nearest = np.append(sums, np.inf)[np.searchsorted(sums, together - room)]
         fresh, sums = together[nearest - together > room], together
     return sums
 
 
-def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
+def sums_in(model: SSP, cap: float, max_sums: int) -> FloatArray | None:
     """Return the totals below a cap that can occur in a model, increasing; None if too many.
 
     All sums of step costs are returned if they are few, otherwise the sums along walks through the
     model.
     """
     steps = step_costs(model)[1]
-    sums = sums_of(steps, cap, most)
-    return _sums_of_walks(model, steps, cap, most) if sums is None else sums
+    sums = sums_of(steps, cap, max_sums)
+    return _sums_of_walks(model, steps, cap, max_sums) if sums is None else sums
 
 
-def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray | None:
+def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, max_sums: int) -> FloatArray | None:
     """Return the sums along walks from any state, found breadth first; None if too many.
 
     Totals are numbered as they are found. The successor of a total by a kind of step is computed
@@ -306,7 +306,7 @@ def _sums_of_walks(model: SSP, steps: FloatArray, cap: float, most: int) -> Floa
         first[name[fresh]] = np.arange(len(sums), len(sums) + len(fresh))
         leads[new] = first[name[len(sums) :]]
         sums = np.append(sums, every[fresh])
-        if len(sums) > min(most, _MOST_MARKS // max(n, 1), _MOST_FOLLOWED // kinds):
+        if len(sums) > min(max_sums, _MOST_MARKS // max(n, 1), _MOST_FOLLOWED // kinds):
             return None
         leads = np.append(leads, np.full(len(fresh) * kinds, _UNKNOWN))
         before = np.append(seen, np.zeros(len(fresh) * n, dtype=np.bool_))
@@ -561,13 +561,13 @@ def resolution_for(
     return wanted if wanted is None or cap is None else replace(wanted, cap=cap)
 
 
-@kept
+@stored_with_model
 def resolution_of_costs(model: SSP) -> Resolution | None:
     """Return the resolution of a model's totals, or None if multiples of its unit are enough."""
     return _resolution(model, step_costs(model)[1])
 
 
-@kept
+@stored_with_model
 def resolution_of_law(model: SSP) -> Resolution | None:
     """Return the resolution of a model's totals, with the costs of steps into the goal."""
     return _resolution(model, np.union1d(step_costs(model)[1], last_steps(model)[1]))

@@ -223,7 +223,7 @@ class OpenEnded(ChargedLayers):
         base = self.base
         goal = base.survival * base.gain
         return Counting(
-            base.quotient, base.departs, goal, base.failure, self.start, semantics, base.survival
+            base.quotient, base.escape, goal, base.failure, self.start, semantics, base.survival
         )
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
@@ -261,7 +261,7 @@ class OpenEnded(ChargedLayers):
     @property
     def is_settled(self) -> bool:
         """Whether the charge is affine at the cap and beyond."""
-        return bool(self.totals.values[-1] >= (self.charge.settled or 0.0))
+        return bool(self.totals.values[-1] >= (self.charge.affine_from_total or 0.0))
 
     @cached_property
     def _step_beyond(self) -> FloatArray:
@@ -287,7 +287,7 @@ class OpenEnded(ChargedLayers):
             goal: goal probability from each state, [states].
         """
         quotient = self.base.quotient
-        return quotient.at_pairs(cost_means(quotient.model, goal)) / self.base.departs
+        return quotient.at_pairs(cost_means(quotient.model, goal)) / self.base.escape
 
     @cached_property
     def shift_of_ends(self) -> tuple[FloatArray, float]:
@@ -393,14 +393,14 @@ def first_total(charge: Charge, typical: float) -> float:
 
 def truncates(charge: Charge, total: float) -> bool:
     """Return whether a cap at a total is inexact, since the charge may grow beyond it."""
-    if charge.slope > 0.0 or charge.settled is None:
+    if charge.slope > 0.0 or charge.affine_from_total is None:
         return True
-    return total <= charge.settled or not charge.is_affine_beyond(total)
+    return total <= charge.affine_from_total or not charge.is_affine_beyond(total)
 
 
 def _settled_open_end(charge: Charge) -> float | None:
     """Return the total beyond which the charge is affine; None if it never is exactly."""
-    settled = charge.settled
+    settled = charge.affine_from_total
     if settled is None or not charge.is_affine_beyond(settled * (1.0 + BEYOND)):
         return None
     return settled

@@ -13,9 +13,9 @@ from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.policy_layers import (
     LARGE,
     LayerMoves,
+    alive_layers,
     chains_of_law,
     giving_up_where_lost,
-    hopeful_layers,
     landed_chains,
 )
 from ssp_lp.analysis.worst_case import WorstCase, worst_case
@@ -169,7 +169,7 @@ def evaluate_each(
     if not semantics.counts_law:
         return evaluation, each
     law = _measured_law(chains, lottery.weights[lottery.weights > 0.0], semantics)
-    return replace(evaluation, objective=semantics.worth_of(law)), each
+    return replace(evaluation, objective=semantics.value_of_law(law)), each
 
 
 def success_figures(policy: Policy, problem: Problem) -> tuple[float, float, float]:
@@ -525,7 +525,7 @@ def layered_measures(
     moves, survivals = LayerMoves(model, layers), _survivals(problem)
     if not moves.is_soon_followed(least_nodes):
         return None
-    hopeful, (stage, charge, stopping) = hopeful_layers(moves)[0], _layer_costs(problem)
+    hopeful, (stage, charge, stopping) = alive_layers(moves)[0], _layer_costs(problem)
     waiting = np.zeros((moves.room, model.n_states, 3 * len(survivals)))
     waiting[0, :, ::3] = start[:, None]
     stopped = np.zeros((2, model.n_states))  # mass that ends in each state, and that gives up there
@@ -727,7 +727,7 @@ def counted_nodes(chain: Chain, problem: Problem, *, declared: bool = False) -> 
             quits &= ~attention_states(problem.model)[chain.state]
         over = (chain.goal > 0) | quits
         return chain.reaching(over | (chain.dead > 0) if declared else over)
-    if problem.semantics.forbids_failing or not _asks_for_ends(problem):
+    if problem.semantics.forbids_failing or not _wants_ends(problem):
         return np.asarray(chain.alive | (chain.goal > 0))
     return chain.settling
 
@@ -740,7 +740,7 @@ def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, Int
         that no run of the policy reaches gets False.
     """
     model = problem.model
-    if model.failure_label is None and policy.layers() is not None and not _asks_for_ends(problem):
+    if model.failure_label is None and policy.layers() is not None and not _wants_ends(problem):
         (stopping,) = giving_up_where_lost(as_lottery(policy)).policies
         return lambda states, memory: stopping.branches(states, memory).pair == GIVE_UP_CODE
     chain = policy_chain(model, policy, problem.start_mass)
@@ -750,7 +750,7 @@ def lost_situations(policy: Policy, problem: Problem) -> Callable[[IntArray, Int
     return lambda states, memory: np.isin(memory * model.n_states + states, keys)
 
 
-def _asks_for_ends(problem: Problem) -> bool:
+def _wants_ends(problem: Problem) -> bool:
     """Return whether a constraint or the objective counts ends other than the goal."""
     return any(condition.wants_ends for condition in _asked_quantities(problem))
 

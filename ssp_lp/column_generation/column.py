@@ -45,25 +45,25 @@ class Column:
     beyond: Column | None = None  # the policy beyond the layers, if these have no tails
 
     @classmethod
-    def of_figures(
-        cls, figures: FloatArray, choice: IntArray | None, *, by_goal: bool = False, **more: Any
+    def of_rewards(
+        cls, rewards: FloatArray, choice: IntArray | None, *, by_goal: bool = False, **more: Any
     ) -> Column:
         """Return a column with given rewards.
 
         Args:
-            figures: cost, failure (or minus goal) and further rows, [rewards]; failure and goal are
+            rewards: cost, failure (or minus goal) and further rows, [rewards]; failure and goal are
                 clipped to [0, 1].
             choice: the policy, as an array of the pricing problem, or None.
             by_goal: whether the second reward is minus the goal probability.
             more: further fields of the column.
         """
-        cost, counted, *rows = figures.tolist()
+        cost, counted, *rows = rewards.tolist()
         counted = min(max(-counted if by_goal else counted, 0.0), 1.0)
         failure, goal = (1.0 - counted, counted) if by_goal else (counted, 1.0 - counted)
         return cls(cost, failure, goal, choice, rows=tuple(rows), by_goal=by_goal, **more)
 
     @cached_property
-    def figures(self) -> FloatArray:
+    def rewards(self) -> FloatArray:
         """Rewards, [rewards]: cost, failure (or minus success), and value of each further row."""
         return np.array([self.cost, -self.goal if self.by_goal else self.failure, *self.rows])
 
@@ -155,11 +155,11 @@ class PricingProblem(ABC):
         """
 
     @property
-    def covered(self) -> float:
+    def covered_price(self) -> float:
         """Greatest price of failure at which a pricing call also solves all lower prices, or 0."""
         return 0.0
 
-    def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
+    def nearby_columns(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
         """Return columns that are optimal at lower prices, and fail about as often as allowed.
 
         They are by-products of the pricing call that found ``column``.
@@ -175,7 +175,7 @@ class PricingProblem(ABC):
         """
         return None
 
-    def taken_on(self, columns: Sequence[Column]) -> list[Column] | None:
+    def reevaluated(self, columns: Sequence[Column]) -> list[Column] | None:
         """Return columns of a process with a lower cap, re-evaluated for this process.
 
         The result is None if the process has no cap on accumulated cost.
@@ -196,7 +196,7 @@ class PricingProblem(ABC):
             slack: use the form ``cost - price * goal`` (:class:`Proof`).
         """
 
-    def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
+    def minimise_and_prove(self, weights: FloatArray, warm: Column) -> Proof:
         """Solve the pricing problem at new weights, and prove the dual bound there."""
         return self.prove(weights, warm)
 
@@ -217,7 +217,7 @@ class PricingProblem(ABC):
         """
 
     @property
-    def anything(self) -> FloatArray:
+    def infinite(self) -> FloatArray:
         """Infinite values, for a ``check`` without a value function, [value_shape].
 
         ``check`` lowers them to the best bound that it can prove.
@@ -256,41 +256,41 @@ class FailureRow:
     budget: float
     ratio: bool
     lowest: float = 0.0  # a lower bound of every objective
-    demanded: float = field(init=False)  # least goal probability that the budget requires
+    required: float = field(init=False)  # least goal probability that the budget requires
     by_goal: bool = field(init=False)  # columns count the goal: the smaller number is exact
     is_rare: bool = field(init=False)  # demanded is small: the goal replaces failure in the rewards
     rounding: float = field(init=False)  # feasibility tolerance: rounding of failure and budget
 
     def __post_init__(self) -> None:
         budget = self.budget
-        demanded = budget.demanded if isinstance(budget, GoalShare) else 1.0 - budget
+        demanded = budget.required if isinstance(budget, GoalShare) else 1.0 - budget
         follows = vars(self)
         follows["by_goal"] = demanded < 0.5
-        follows["demanded"], follows["is_rare"] = demanded, 0.0 < demanded < RARE_GOAL
+        follows["required"], follows["is_rare"] = demanded, 0.0 < demanded < RARE_GOAL
         follows["rounding"] = _SAME * max(min(budget, demanded), 0.0)
 
     def raised_to(self, least: Column) -> FailureRow:
         """Return the failure row with a budget of at least the least failure."""
-        return self if self.spare(least) >= 0.0 else self.equal_to(least)
+        return self if self.slack(least) >= 0.0 else self.with_budget_of(least)
 
-    def equal_to(self, least: Column) -> FailureRow:
+    def with_budget_of(self, least: Column) -> FailureRow:
         """Return the failure row whose budget is the failure of the safest column."""
         return replace(self, budget=GoalShare(least.goal) if self.is_rare else least.failure)
 
-    def spare(self, column: Column) -> float:
+    def slack(self, column: Column) -> float:
         """Return the budget minus a column's failure; negative if the budget is violated.
 
         For budgets near 1 it is computed from goal probabilities, without cancellation.
         """
-        return column.goal - self.demanded if self.by_goal else self.budget - column.failure
+        return column.goal - self.required if self.by_goal else self.budget - column.failure
 
-    def leaves_only(self, least: Column) -> bool:
+    def equals_least(self, least: Column) -> bool:
         """Return whether the budget equals the least failure within rounding."""
-        return self.spare(least) <= self.rounding
+        return self.slack(least) <= self.rounding
 
-    def breaks(self, column: Column) -> bool:
+    def is_violated_by(self, column: Column) -> bool:
         """Return whether a column violates the budget by more than rounding."""
-        return self.spare(column) < -self.rounding
+        return self.slack(column) < -self.rounding
 
     def objective(self, cost: float, goal: float) -> float:
         """Return the objective of a lottery with this cost and goal probability."""
@@ -310,7 +310,7 @@ class FailureRow:
         price, as failure is 1 - goal. This form loses no digits if the budget is slack or success
         is rare.
         """
-        bound, price, share = proof.bound, proof.price, self.demanded
+        bound, price, share = proof.bound, proof.price, self.required
         worth = price * (share if proof.failing == 0.0 else self.budget)
         rounding = _ROUNDED * (abs(bound) + worth) if worth > 0.0 else 0.0
         if not self.ratio:

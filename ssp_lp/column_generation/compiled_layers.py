@@ -91,7 +91,7 @@ class LayeredPricing(PricingProblem):
         return self._begun_in(reached.layer, swept, measures)
 
     @property
-    def covered(self) -> float:
+    def covered_price(self) -> float:
         """Greatest price of failure at which one sweep also solves all lower prices, or 0."""
         return float(self._paid[-1]) if self.is_shifted else 0.0
 
@@ -121,14 +121,14 @@ class LayeredPricing(PricingProblem):
             known = swept.by_layer[layer, 1:]
             measures = None if np.isnan(known).any() else known
         price = swept.tail_price - float(self._paid[layer])
-        begun = self._process_begun_in(layer)
+        begun = self._process_from(layer)
         within, choice = replace(self, process=begun), choice[layer:]
         if measures is None:
             measures = within.sweep.measure(choice, begun.measures_beyond(price))
         column, policy = within._column(measures, choice, price, 0), begun.policy(choice, price)
         return replace(column, choice=None, policy=policy, swept=swept)
 
-    def beside(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
+    def nearby_columns(self, column: Column, row: FailureRow) -> tuple[Column, ...]:
         """Return columns that are optimal at lower prices, and fail about as often as allowed.
 
         One backward sweep solves the pricing problem at many prices: the price of the column minus
@@ -136,13 +136,13 @@ class LayeredPricing(PricingProblem):
         the second one at a neighbouring price, on the other side of the budget.
         """
         rest = column.by_layer
-        if rest is None or column.choice is None or not (row.ratio and row.demanded > 0.0):
+        if rest is None or column.choice is None or not (row.ratio and row.required > 0.0):
             return ()
         prices = column.tail_price - self._paid
         rest = rest[:, 0]
-        best = int(np.argmax(prices + np.where(rest >= 0.0, rest, rest / row.demanded)))
+        best = int(np.argmax(prices + np.where(rest >= 0.0, rest, rest / row.required)))
         nearest = self._begun_in(best, column)
-        other = best - 1 if row.breaks(nearest) else best + 1
+        other = best - 1 if row.is_violated_by(nearest) else best + 1
         if not 0 <= other < len(prices) or prices[other] <= 0.0:
             return ()
         return replace(nearest, found_at=float(prices[best])), self._begun_in(other, column)
@@ -156,7 +156,7 @@ class LayeredPricing(PricingProblem):
         Their failure probability is the slope of the least value as a function of the price.
 
         Args:
-            column: a column that ``minimise`` or ``beside`` returned.
+            column: a column that ``minimise`` or ``nearby_columns`` returned.
             failure: the failure probability.
             tried: layer counts of the policies that were returned earlier, which are not returned
                 again; updated.
@@ -173,9 +173,9 @@ class LayeredPricing(PricingProblem):
             return None
         tried.add(left)
         price = swept.tail_price - float(self._paid[layer])
-        return self._process_begun_in(layer).policy(swept.choice[layer:], price)
+        return self._process_from(layer).policy(swept.choice[layer:], price)
 
-    def _process_begun_in(self, layer: int) -> LayeredProcess:
+    def _process_from(self, layer: int) -> LayeredProcess:
         """Return the process in which a given layer is the first one, with cost 0."""
         totals = self.process.base.totals(self.process.cap - layer)
         return replace(self.process, totals=totals)
@@ -197,7 +197,7 @@ class LayeredPricing(PricingProblem):
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """Return a column of least ``E[charge; goal] + price * failure``."""
         failure_price = float(pricing_weights(price)[1])
-        base, tails, choice = self.process.base, self.process.tails, self.sweep.room_for_choice()
+        base, tails, choice = self.process.base, self.process.tails, self.sweep.empty_choice()
         most = (
             0.0 if base.start_goal or base.start_failure else float(self.process.totals.values[-1])
         )
@@ -231,7 +231,7 @@ class LayeredPricing(PricingProblem):
             choice: filled with the choice of the column, [cap, nodes].
         """
         priced = at_price(self.sweep, price, 0.0, bounds=True)
-        bounds, values = self.sweep.bound(priced, self.anything, choice)
+        bounds, values = self.sweep.bound(priced, self.infinite, choice)
         by_layer = np.full((self.process.cap, 4), np.nan)
         by_layer[:, 0] = bounds
         column = replace(self.measure(choice, price), by_layer=by_layer, totals=values)
@@ -244,7 +244,7 @@ class LayeredPricing(PricingProblem):
         if abs(at - price) > ROUNDED * price:
             return None
         found, bound = required(swept.totals), float(required(swept.by_layer)[layer, 0])
-        values = self.anything
+        values = self.infinite
         if found.size <= KEPT_VALUES:
             values = np.array(values)
             values[: self.process.cap - layer] = found[layer:] + (0.0 if slack else at)
@@ -286,7 +286,7 @@ class LayeredPricing(PricingProblem):
         swept, proved = None if best is None else best.swept or best, None
         if swept is not None and swept.totals is not None and swept.by_layer is not None:
             proved = self._proved_by(swept, price, slack=slack)
-        return proved or self._proof(price, 0.0 if slack else price, self.anything)
+        return proved or self._proof(price, 0.0 if slack else price, self.infinite)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
         """Prove a dual bound from a given value function, [cap, nodes].
@@ -303,7 +303,7 @@ class LayeredPricing(PricingProblem):
         self.check_shape(values)
         if self.sweep.can_follow and self.sweep.one_pass is None:
             wants_best = all(bool(np.isposinf(layer).all()) for layer in values)
-            choice = self.sweep.room_for_choice() if wants_best else None
+            choice = self.sweep.empty_choice() if wants_best else None
         return self._proof(price, 0.0 if slack else price, values, choice)
 
     def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
@@ -332,7 +332,7 @@ class LayeredPricing(PricingProblem):
             if most <= ROUNDED * abs(proof.bound):
                 return most
         followed = at_price(self.sweep, price, failing)
-        reached = float(self.sweep.bound(followed, self.anything)[0][0])
+        reached = float(self.sweep.bound(followed, self.infinite)[0][0])
         if proof is not None and reached <= proof.bound:
             return 0.0
         return max(reached - self.prove(price, slack=slack).bound, 0.0)
@@ -436,14 +436,14 @@ class CompiledLayered(CompiledProblem):
         return self.charge.slope > 0.0 and not self.layer.safest_only
 
     @cached_property
-    def is_trial(self) -> bool:
+    def is_guess(self) -> bool:
         """Whether the cap is a guess, and the solution only serves to find a better cap."""
         if self.cap is not None or self.fixed_cap is not None or not self._grows:
             return False
         return self.layer.by_sums or not self._has_exact_tails
 
     @cached_property
-    def is_long_shot(self) -> bool:
+    def is_cap_poor(self) -> bool:
         """Whether the quickly found policy to the goal has runs too long to derive a cap from."""
         layer, facts = self.layer, self.facts
         is_guess = self.cap is None and self.fixed_cap is None and self.tails is Tails.ANY_WAY
@@ -462,7 +462,7 @@ class CompiledLayered(CompiledProblem):
     def _has_exact_tails(self) -> bool:
         """Whether the tails are exact, by request or because simple tails cannot be used."""
         merged = self.layer.base.quotient.merged
-        return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self.is_long_shot
+        return self.tails is Tails.LEAST_FAILURE or bool(merged.any()) or self.is_cap_poor
 
     @cached_property
     def is_lossy(self) -> bool:
@@ -470,7 +470,7 @@ class CompiledLayered(CompiledProblem):
         return bool(self.facts.start[~attention_states(self.facts.model)].any())
 
     @property
-    def _always_hopes(self) -> bool:
+    def _cannot_surely_fail(self) -> bool:
         """Whether no policy surely avoids the goal from the start."""
         return float(self.facts.start @ self.facts.riskiest.values.goal) > 0.0
 
@@ -482,7 +482,7 @@ class CompiledLayered(CompiledProblem):
         """
         if self.tails is not Tails.ANY_WAY:
             return self
-        base, exact = self.layer.base, self._always_hopes
+        base, exact = self.layer.base, self._cannot_surely_fail
         most = MOST_ENTRIES // max(base.n_nodes, 1) - 2 * base.width
         layers = int(min(np.ceil(cost / base.unit), max(most, 0))) + base.width
         return replace(self, cap=layers, tails=Tails.LEAST_FAILURE if exact else self.tails)
@@ -523,13 +523,13 @@ class CompiledLayered(CompiledProblem):
 
     def _first_cap(self) -> float:
         """Return the first cap, in units: the layers that are always needed, plus a guess."""
-        layer, facts, settled = self.layer, self.facts, self.charge.settled
+        layer, facts, settled = self.layer, self.facts, self.charge.affine_from_total
         if self.fixed_cap is not None:
             return max(layer.units(self.fixed_cap), 1)
         if settled is not None and not self._grows:
             return self._settled_units()
         base, share = layer.base, written_out.TYPICAL
-        if self.is_trial and layer.by_sums:
+        if self.is_guess and layer.by_sums:
             share, (cost, goal) = _NEARLY, facts.cost_and_goal(facts.directed)
         elif not self._has_exact_tails and layer.guess is not None:
             cost, goal = layer.guess
@@ -544,7 +544,7 @@ class CompiledLayered(CompiledProblem):
             first = max(min(first, written_out.MOST_AT_FIRST // 2), written_out.FIRST_LAYERS)
         if not layer.by_sums:
             first += base.width
-        elif not self.is_trial:
+        elif not self.is_guess:
             first += float(step_costs(facts.model)[1][-1])
         needed = self._settled_units() if settled or layer.by_sums else 0
         return needed + first
@@ -554,7 +554,7 @@ class CompiledLayered(CompiledProblem):
 
         For an exponential utility it is the total from which the stationary tail is optimal.
         """
-        layer, settled, least = self.layer, self.charge.settled or 0.0, 1.0
+        layer, settled, least = self.layer, self.charge.affine_from_total or 0.0, 1.0
         if layer.by_sums:  # so that total 0 has a layer
             dearest = float(step_costs(self.facts.model)[1].max())
             least = written_out.BEYOND * dearest or 1.0
@@ -575,7 +575,7 @@ class CompiledLayered(CompiledProblem):
         if charge.slope == 0.0:
             return settled
         room = 0 if self.layer.by_sums else 1
-        return max(settled, self.layer.units(CAP_MARGIN * charge.lossless(price)) + room)
+        return max(settled, self.layer.units(CAP_MARGIN * charge.lossless_total(price)) + room)
 
     def refined(self, price: float) -> CompiledLayered | None:
         """Return the problem with more layers or exact tails; None if neither would improve it.
@@ -587,22 +587,22 @@ class CompiledLayered(CompiledProblem):
         if self.fixed_cap is not None:
             return None if exact else replace(self, tails=Tails.LEAST_FAILURE)
         wanted, tails = 2.0 * here, Tails.LEAST_FAILURE
-        if self.charge.settled is None:
+        if self.charge.affine_from_total is None:
             wanted = wanted if layer.by_sums else min(wanted, _MOST_LAYERS)
         elif not self._grows:
             return None
         else:
             lossless = self.lossless_units(price)
             most = (2.0 if exact and self.charge.is_the_total else MOST_GROWTH) * here
-            is_near = (self.is_trial or here < lossless) and lossless <= most
-            if is_near and self.is_trial and self.is_lossy:  # as in ``capped_at``
+            is_near = (self.is_guess or here < lossless) and lossless <= most
+            if is_near and self.is_guess and self.is_lossy:  # as in ``capped_at``
                 wanted = 2.0 * lossless
             elif is_near:
-                wanted, tails = lossless, self.tails if self.is_trial else tails
+                wanted, tails = lossless, self.tails if self.is_guess else tails
             elif not exact:
                 wanted = here
         fits = layer.totals(wanted) is not None if layer.by_sums else self.fits(wanted)
-        if exact and not self.is_trial and not (fits and here < wanted):
+        if exact and not self.is_guess and not (fits and here < wanted):
             return None
         if not fits:
             wanted, tails = here, Tails.LEAST_FAILURE

@@ -54,14 +54,14 @@ from ssp_lp.policies.policy import Policy
 from ssp_lp.processes import goal_reach
 from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
 from ssp_lp.processes.explicit_process import ExplicitProcess
-from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
+from ssp_lp.processes.failure_label import LabelledProcess, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import (
     RARE_GOAL,
     Aim,
     FailureSemantics,
     ObjectiveSense,
-    demanded_goal,
     goal_out_of_reach,
+    required_goal,
     survival_of,
 )
 
@@ -133,7 +133,7 @@ class GoalFacts:
         if not least.bound[self.start > 0.0].any():
             return None
         anything = np.ones(self.model.n_pairs, dtype=np.bool_)
-        reach = replace(least, goal=least.bound, surely=anything, solved=None)
+        reach = replace(least, goal=least.bound, sure_pairs=anything, solved=None)
         return goal_reach.cheapest_reach(self.model, reach, self.survival).bound
 
     @cached_property
@@ -172,12 +172,12 @@ class CompiledProblem(ABC):
 
     @property
     @abstractmethod
-    def is_trial(self) -> bool:
+    def is_guess(self) -> bool:
         """Whether the cap is a guess, and the solution only serves to find a better cap."""
 
     @property
     @abstractmethod
-    def is_long_shot(self) -> bool:
+    def is_cap_poor(self) -> bool:
         """Whether the first cap is a poor guess, and case M should be solved for a better one."""
 
     @property
@@ -214,7 +214,7 @@ class CompiledProblem(ABC):
         proved = reach.least_failure(facts.start)
         if failure - proved > PROVED_OF_MANY:  # sweeps may prove more than an evaluation
             how = facts.model, facts.survival, facts.start
-            again = goal_reach.greatest_goal_reach(*how, last_digits=False)
+            again = goal_reach.greatest_goal_reach(*how, precise=False)
             proved = max(proved, again.least_failure(facts.start))
         return min(proved, failure)
 
@@ -548,14 +548,14 @@ class CompiledExplicit(CompiledProblem):
     cap: int | None = None  # layers; None: a first guess
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     exact_tails: bool = True  # optimal tails beyond the cap, not the better of two policies
-    is_trial: bool = False  # its layers are a guess to find the price
+    is_guess: bool = False  # its layers are a guess to find the price
     objective: UpperRow | None = None  # minimised instead of the cost; then without a charge
     resolution: Resolution | None = None  # of layers that are not multiples of a unit
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure
     priced: ExplicitPricing | OpenEndedPricing | None = None  # shared with other bounds
 
     lowest: ClassVar[float] = 0.0
-    is_long_shot: ClassVar[bool] = False
+    is_cap_poor: ClassVar[bool] = False
     cost_horizon: ClassVar[float] = 0.0
     is_whole: ClassVar[bool] = True  # whether other problems on the model can be solved here
 
@@ -564,7 +564,7 @@ class CompiledExplicit(CompiledProblem):
 
         This avoids cancellation in ``1 - failure`` and in limits on the probability of ends.
         """
-        demanded = 0.0 if budget is None else demanded_goal(budget)
+        demanded = 0.0 if budget is None else required_goal(budget)
         is_rare = 0.0 < demanded < RARE_GOAL
         if demanded == 0.0 and self.ratio:
             is_rare = self.greatest_goal < RARE_GOAL
@@ -576,7 +576,7 @@ class CompiledExplicit(CompiledProblem):
     def may_be_rare(self) -> bool:
         """Whether success may be rare: then counting success, not failure, is more precise."""
         is_greatest = self.semantics.aim is Aim.GREATEST_GOAL and self.objective is None
-        is_free = self.ratio and self.budget is not None and self._demanded == 0.0
+        is_free = self.ratio and self.budget is not None and self._required == 0.0
         return (is_greatest or is_free) and not self.by_goal
 
     @property
@@ -592,7 +592,7 @@ class CompiledExplicit(CompiledProblem):
             return ObjectiveSense(None, shift, self.objective.offset)
         if self.semantics.aim is Aim.GREATEST_GOAL:
             return ObjectiveSense(0.0 if self.by_goal else 1.0, shift)
-        failing = self.semantics.failing_worth + shift
+        failing = self.semantics.failing_value + shift
         return ObjectiveSense(failing if self.semantics.maximises else None, shift)
 
     @property
@@ -602,23 +602,23 @@ class CompiledExplicit(CompiledProblem):
         return any(row.condition.wants_ends for row in rows)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def texts(self) -> tuple[str, ...]:
         """Descriptions of the limited quantities, for messages."""
         ending = "- goal probability" if self.by_goal else FAILURE_ROW
-        return (ending, *(row.told for row in self.side))
+        return (ending, *(row.text for row in self.side))
 
     @property
     def bounds(self) -> FloatArray:
         """Bound of each row, [rows]; infinite: no limit."""
-        granted, demanded = np.inf, self._demanded
+        granted, demanded = np.inf, self._required
         if self.budget is not None and demanded > 0.0:
             granted = -demanded if self.by_goal else max(self.budget, 0.0)
         return np.array([granted, *(row.bound for row in self.side)])
 
     @property
-    def _demanded(self) -> float:
+    def _required(self) -> float:
         """Least goal probability that the budget requires; 0 without a budget."""
-        return 0.0 if self.budget is None else max(demanded_goal(self.budget), 0.0)
+        return 0.0 if self.budget is None else max(required_goal(self.budget), 0.0)
 
     @cached_property
     def least(self) -> LeastFailure:
@@ -632,7 +632,7 @@ class CompiledExplicit(CompiledProblem):
         how = facts.model, facts.start, self.semantics, facts.discount
         stage = label_failure(*how, greatest.usable)
         begun_from = stage.placed(greatest.decision)
-        second = ExplicitPricing(stage, begun_from=begun_from, by_goal=self.by_goal)
+        second = ExplicitPricing(stage, initial_choice=begun_from, by_goal=self.by_goal)
         column = second.minimise(0.0)
         bound = second.prove(0.0, column).bound
         policy = second.policy(column)
@@ -677,9 +677,9 @@ class CompiledExplicit(CompiledProblem):
     @property
     def limits_failure(self) -> bool:
         """Whether there is a failure budget below 1."""
-        return self.budget is not None and self._demanded > 0.0
+        return self.budget is not None and self._required > 0.0
 
-    def settled(self, *known: Column) -> CompiledExplicit:
+    def at_least_failure(self, *known: Column) -> CompiledExplicit:
         """Return this problem, or that of least failure if the budget equals the least failure.
 
         Args:
@@ -697,10 +697,10 @@ class CompiledExplicit(CompiledProblem):
         if self.budget is None or not self.limits_failure:
             return self
         row = FailureRow(self.budget, self.ratio)
-        room = _CLEARLY * min(self.budget, row.demanded)
-        if any(row.spare(column) > room for column in known):
+        room = _CLEARLY * min(self.budget, row.required)
+        if any(row.slack(column) > room for column in known):
             return self
-        if row.spare(self.least.column) > 0.0:
+        if row.slack(self.least.column) > 0.0:
             return self
         return replace(self, budget=None, priced=None)
 
@@ -714,7 +714,7 @@ class CompiledExplicit(CompiledProblem):
     def least_goal(self) -> float:
         """Lower bound of the goal probability of every policy within the budget."""
         least = float(self.facts.start @ self._least_goals)
-        return max(self._demanded, least, 0.0)
+        return max(self._required, least, 0.0)
 
     @property
     def _least_goals(self) -> FloatArray:
@@ -724,11 +724,11 @@ class CompiledExplicit(CompiledProblem):
         return self.facts.least.bound
 
     @cached_property
-    def augmented(self) -> FailureLabelled | written_out.OpenEnded:
+    def augmented(self) -> LabelledProcess | written_out.OpenEnded:
         """The process, with each end component that adds nothing to any reward collapsed."""
         facts = self.facts
         if self.priced is not None:
-            return cast("FailureLabelled | written_out.OpenEnded", self.priced.augmented)
+            return cast("LabelledProcess | written_out.OpenEnded", self.priced.augmented)
         if self.charge is None:
             self.check_sure()
             usable = None if self.budget is not None else facts.greatest_from_start.usable
@@ -796,7 +796,7 @@ class CompiledExplicit(CompiledProblem):
         if self.by_goal and self.semantics.aim is Aim.GREATEST_GOAL:
             counted = -self.augmented.process.goal
         sure = None  # a choice that reaches the goal surely
-        if self.semantics.forbids_failing and isinstance(self.augmented, FailureLabelled):
+        if self.semantics.forbids_failing and isinstance(self.augmented, LabelledProcess):
             sure = self.augmented.placed(surely_reaching(self.facts.model)[2])
         how = tuple(rows), counted, sure
         return ExplicitPricing(self.augmented, *how, by_goal=self.by_goal)
@@ -825,7 +825,7 @@ class CompiledExplicit(CompiledProblem):
             return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
-            typical = self.facts.typical_cost * (_ROUGHLY if self.is_trial else 1.0)
+            typical = self.facts.typical_cost * (_ROUGHLY if self.is_guess else 1.0)
             layers = written_out.first_cap(self.base, self.charge, typical, self.fixed_cap)
         written_out.check_room(self.base, layers, self._most_pairs)
         return layers
@@ -840,7 +840,7 @@ class CompiledExplicit(CompiledProblem):
         if exact == self.exact_tails or not (exact or (grows and self._is_swept)):
             return self
         is_trial = not exact and self.cap is None and self.fixed_cap is None
-        return replace(self, exact_tails=exact, is_trial=is_trial, priced=None)
+        return replace(self, exact_tails=exact, is_guess=is_trial, priced=None)
 
     @property
     def _most_pairs(self) -> int:
@@ -862,22 +862,22 @@ class CompiledExplicit(CompiledProblem):
         end = self.layers * self.base.unit if self.totals is None else float(self.totals.values[-1])
         cut = written_out.truncates(self.charge, end)
         if self.resolution is not None and self.totals is not None:
-            enough = self.charge.lossless(price) if cut else None
+            enough = self.charge.lossless_total(price) if cut else None
             finer = self.resolution.finer(self.totals, enough, self._room)
             if finer is None:
                 return None
             return self.at_resolution(finer)
         here, pairs = self.layers, len(self.base.gain)
-        lossless = int(np.ceil(CAP_MARGIN * self.charge.lossless(price) / self.base.unit)) + 1
+        lossless = int(np.ceil(CAP_MARGIN * self.charge.lossless_total(price) / self.base.unit)) + 1
         wanted = min(lossless, MOST_GROWTH * here) if lossless > here else 2 * here
         fits = (wanted + 1) * pairs <= self._most_pairs
-        if self.is_trial and (lossless <= here or not fits):
+        if self.is_guess and (lossless <= here or not fits):
             wanted = here
         elif exact is not None and (lossless <= here or not fits):
             return exact
         elif not (cut and fits):
             return None
-        return replace(self, cap=wanted, is_trial=False, priced=None)
+        return replace(self, cap=wanted, is_guess=False, priced=None)
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledExplicit:
         """Return the problem with as many layers as a value function.

@@ -57,7 +57,7 @@ from ssp_lp.processes.explicit_process import (
     bound_of,
     contract,
 )
-from ssp_lp.processes.failure_label import FailureLabelled
+from ssp_lp.processes.failure_label import LabelledProcess
 
 LOST = 4.0 * MACHINE_EPSILON
 """Relative rounding error of a sum of a few terms."""
@@ -78,10 +78,10 @@ class ExplicitPricing(PricingProblem):
     further rows, >= 0, [rewards].
     """
 
-    augmented: FailureLabelled | OpenEnded | LastLayer  # the process, and its map to the model
+    augmented: LabelledProcess | OpenEnded | LastLayer  # the process, and its map to the model
     rows: tuple[FloatArray, ...] = ()  # [pairs] each: the rewards after cost and failure
     counted: FloatArray | None = None  # [pairs] replaces the cost of the process
-    begun_from: IntArray | None = None  # [states] a known policy that leaves
+    initial_choice: IntArray | None = None  # [states] a known policy that leaves
     by_goal: bool = False  # the second reward is minus the goal probability instead of failure
     _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by the weights' support
 
@@ -116,8 +116,8 @@ class ExplicitPricing(PricingProblem):
 
         If there is a time limit, the policy avoids dead-ends, because it may become the answer.
         """
-        if self.begun_from is not None:
-            return self.begun_from
+        if self.initial_choice is not None:
+            return self.initial_choice
         process, nearer = self.process, self.augmented.nearer_goal(safely=is_limited())
         return leaving_choice(process.dynamics, process.goal, nearer).astype(np.int32)
 
@@ -146,7 +146,7 @@ class ExplicitPricing(PricingProblem):
         lead to policies that stay in them for ever.
         """
         weights = pricing_weights(price)
-        choice, guess = self._begun(weights, warm)
+        choice, guess = self._initial_policy(weights, warm)
         smaller = self.contracted(weights)
         at = float(weights[1]) if len(weights) == 2 and weights[0] == 1.0 else None
         noise = _noise(weights, warm) if self.by_goal or self.rows else 0.0
@@ -155,7 +155,7 @@ class ExplicitPricing(PricingProblem):
             settled = run(self.dynamics, self.rewards, weights, choice, guess)
             found = settled.choice, settled.totals
             return self._column(*found, work=settled.work, found_at=at)
-        choice = smaller.begun(self.process, choice).astype(np.int32)
+        choice = smaller.contracted_policy(self.process, choice).astype(np.int32)
         priced = weighted(self.rewards, weights)[smaller.pairs, None]
         about = None if guess is None else smaller.least(weighted(guess, weights))[:, None]
         try:
@@ -163,11 +163,11 @@ class ExplicitPricing(PricingProblem):
         except Stop as stop:
             come_to = stop.choice
             if come_to is not None:
-                come_to = smaller.expanded(self.process, come_to)
+                come_to = smaller.expanded_policy(self.process, come_to)
             raise Stop(come_to) from stop
-        return self.measure(smaller.expanded(self.process, settled.choice), settled.work, at)
+        return self.measure(smaller.expanded_policy(self.process, settled.choice), settled.work, at)
 
-    def _begun(
+    def _initial_policy(
         self, weights: FloatArray, warm: Sequence[Column | None]
     ) -> tuple[IntArray, FloatArray | None]:
         """Return a policy from which policy iteration starts, and its approximate totals.
@@ -215,8 +215,8 @@ class ExplicitPricing(PricingProblem):
         cost, held = weighted(self.rewards, weights), required(column.choice)
         dynamics = self.dynamics
         backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, cost, values, held)
-        gain = backup.here - backup.minima
-        return bool((gain <= self.no_gain * np.abs(backup.here)).all())
+        gain = backup.current_values - backup.minima
+        return bool((gain <= self.no_gain * np.abs(backup.current_values)).all())
 
     def measure(
         self, choice: IntArray, work: Work = _NONE, found_at: float | None = None
@@ -234,7 +234,7 @@ class ExplicitPricing(PricingProblem):
     def _column(self, choice: IntArray, totals: FloatArray, **more: Any) -> Column:
         """Return the column of a choice with known totals, [states, rewards]."""
         figures = expected(self.process.start, totals)
-        return Column.of_figures(figures, choice, by_goal=self.by_goal, totals=totals, **more)
+        return Column.of_rewards(figures, choice, by_goal=self.by_goal, totals=totals, **more)
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a dual bound from the values of ``best``, a policy of least priced cost."""
@@ -242,7 +242,7 @@ class ExplicitPricing(PricingProblem):
         values = weighted(required(column.totals), pricing_weights(price))
         return self.check(price, values, choice=column.choice)
 
-    def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
+    def minimise_and_prove(self, weights: FloatArray, warm: Column) -> Proof:
         """Minimise at new weights and prove the dual bound there."""
         values = weighted(required(self.minimise(weights, warm).totals), weights)
         return self.check(weights, values)
@@ -291,13 +291,13 @@ class ExplicitPricing(PricingProblem):
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0 is a weak bound
         return bound_of(self.process, self.contracted(weights), priced, values, choice=choice)
 
-    def check_less(
+    def bound_less_constant(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> float:
         """Return the bound of :meth:`lowered_less` at the start of the process."""
-        return self.lowered_less(weights, ratio, paid, values).at(self.process.start)
+        return self.lowered_less_constant(weights, ratio, paid, values).at(self.process.start)
 
-    def lowered_less(
+    def lowered_less_constant(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> DualBound:
         """Return checked lower bounds of the weighted totals minus a constant.
@@ -314,10 +314,10 @@ class ExplicitPricing(PricingProblem):
         """
         process, cost, counted = self.process, self.augmented.own_cost, weights.copy()
         counted[1] += ratio
-        left = costs_less_earned(
+        left = costs_less_earnings(
             cost, cost + self.rewards[:, 1:] @ weights[1:], ratio * process.goal
         )
-        values = values_less_paid(np.where(np.abs(values) <= LARGEST, values, 0.0), paid)
+        values = values_less_constant(np.where(np.abs(values) <= LARGEST, values, 0.0), paid)
         return bound_of(process, self.contracted(counted), left, values)
 
     def pulled_back(self, column: Column) -> Policy:
@@ -325,7 +325,7 @@ class ExplicitPricing(PricingProblem):
         return self.augmented.policy(required(column.choice))
 
 
-def costs_less_earned(own: FloatArray, costs: FloatArray, earned: FloatArray) -> FloatArray:
+def costs_less_earnings(own: FloatArray, costs: FloatArray, earned: FloatArray) -> FloatArray:
     """Return ``costs - earned``, [pairs], rounded down where the difference is not exact.
 
     Args:
@@ -338,7 +338,7 @@ def costs_less_earned(own: FloatArray, costs: FloatArray, earned: FloatArray) ->
     return np.asarray(left - np.where(summed, LOST * (np.abs(costs) + earned), 0.0))
 
 
-def values_less_paid(values: FloatArray, paid: float) -> FloatArray:
+def values_less_constant(values: FloatArray, paid: float) -> FloatArray:
     """Return ``values - paid``, [states], with differences of rounding size set to 0."""
     left = values - paid
     return np.where(np.abs(left) <= _ROUNDED * paid, 0.0, left)
@@ -354,7 +354,7 @@ def _noise(weights: FloatArray, columns: Sequence[Column | None]) -> float:
         columns: known columns; the first with all rewards gives the size of the summands.
     """
     measured = (column for column in columns if column is not None)
-    known = next((column for column in measured if len(column.figures) == len(weights)), None)
-    if known is None or not (known.figures * weights < 0.0).any():
+    known = next((column for column in measured if len(column.rewards) == len(weights)), None)
+    if known is None or not (known.rewards * weights < 0.0).any():
         return 0.0
-    return LOST * float(np.abs(known.figures) @ np.abs(weights))
+    return LOST * float(np.abs(known.rewards) @ np.abs(weights))

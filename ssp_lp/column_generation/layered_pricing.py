@@ -16,7 +16,7 @@ from typing import Any, cast
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TailValues
-from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, Priced, Sweep, at_weights
+from ssp_lp.accumulated_cost.sweep import KEPT_VALUES, Sweep, SweepCosts, at_weights
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import FloatArray, IntArray, weighted
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, pricing_weights, required
@@ -78,7 +78,7 @@ class OpenEndedPricing(PricingProblem):
         weights = pricing_weights(price)
         return self._swept(self._tail(weights, *warm), weights)
 
-    def taken_on(self, columns: Sequence[Column]) -> list[Column]:
+    def reevaluated(self, columns: Sequence[Column]) -> list[Column]:
         """Return columns of a process with fewer layers, re-evaluated for this process.
 
         In the additional layers the columns act as they did beyond the lower cap.
@@ -92,7 +92,7 @@ class OpenEndedPricing(PricingProblem):
             longer = np.concatenate([choice, np.broadcast_to(choice[-1], more)])
             ahead = ahead_of(self.augmented, required(last.totals))
             figures = self.sweep.measure(longer[:-1], ahead) + self._at_source
-            known.append(Column.of_figures(figures, longer, by_goal=self.by_goal, beyond=last))
+            known.append(Column.of_rewards(figures, longer, by_goal=self.by_goal, beyond=last))
         return known
 
     def true_cost(self, column: Column) -> float | None:
@@ -132,7 +132,7 @@ class OpenEndedPricing(PricingProblem):
         choice, figures = swept(self.sweep, position, weights, totals, measures)
         figures, work = figures + self._at_source, last.work + bellman.Work(1, 1)
         kept: dict[str, Any] = {"work": work, "beyond": last}
-        return Column.of_figures(figures, choice, by_goal=self.by_goal, **kept)
+        return Column.of_rewards(figures, choice, by_goal=self.by_goal, **kept)
 
     def _tail(self, weights: FloatArray, *warm: Column | None) -> Column:
         """Return the policy to follow in the last layer, at given weights of the rewards.
@@ -160,7 +160,7 @@ class OpenEndedPricing(PricingProblem):
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove the best dual bound at a price, by one backward sweep."""
-        return self._proved(pricing_weights(price), self.anything, best)
+        return self._proved(pricing_weights(price), self.infinite, best)
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
         """Prove a dual bound from values in the shape of ``value_shape``.
@@ -183,14 +183,14 @@ class OpenEndedPricing(PricingProblem):
         """
         last = self._beyond.lowered(weights, self._asked_beyond(values, weights, best)).rounded
         beyond, price = ahead_of(self.augmented, last), float(weights[1])
-        priced = at_weights(self.sweep, weights, beyond, bounds=True)
+        costs = at_weights(self.sweep, weights, beyond, bounds=True)
         floor = -price if self.by_goal else 0.0
         ended = tuple(zip(weights.tolist(), self._at_source.tolist(), strict=True))
-        priced = priced._replace(floor=floor, at_start=ended)
-        bound, kept = self._lowered(self.sweep, priced, values, last)
+        costs = costs._replace(floor=floor, at_start=ended)
+        bound, kept = self._lowered(self.sweep, costs, values, last)
         return Proof(price, 0.0 if self.by_goal else price, bound, kept)
 
-    def check_less(
+    def bound_less_constant(
         self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> float:
         """Return the certified bound at the start minus the amount that every episode pays.
@@ -200,13 +200,13 @@ class OpenEndedPricing(PricingProblem):
         layered, base, counted = self.augmented, self.augmented.base, weights.copy()
         counted[1] += ratio
         beyond = self._asked_beyond(values, counted)
-        last = self._beyond.lowered_less(weights, ratio, paid, beyond).rounded
+        last = self._beyond.lowered_less_constant(weights, ratio, paid, beyond).rounded
         every = np.append(weights, -ratio)
-        priced = at_weights(self._less_paid, every, ahead_of(layered, last), bounds=True)
+        costs = at_weights(self._less_paid, every, ahead_of(layered, last), bounds=True)
         amounts = [layered.start_charge, *self._at_source[1:].tolist(), base.start_goal]
         ended = tuple(zip(every.tolist(), amounts, strict=True))
-        priced = priced._replace(floor=-paid, at_start=ended)
-        return self._lowered(self._less_paid, priced, self.anything, last)[0]  # the best bound
+        costs = costs._replace(floor=-paid, at_start=ended)
+        return self._lowered(self._less_paid, costs, self.infinite, last)[0]  # the best bound
 
     @cached_property
     def _less_paid(self) -> Sweep:
@@ -216,7 +216,7 @@ class OpenEndedPricing(PricingProblem):
         """
         goal = self.augmented.base.survival * self.augmented.base.gain
         counted = np.append(self.sweep.counted, goal[:, None], axis=1)
-        return replace(self.sweep, counted=counted, on_top=None)
+        return replace(self.sweep, counted=counted, added=None)
 
     def _asked_beyond(
         self, values: FloatArray, weights: FloatArray, best: Column | None = None
@@ -229,19 +229,19 @@ class OpenEndedPricing(PricingProblem):
         return weighted(required(self._best_beyond(weights, best).totals), weights)
 
     def _lowered(
-        self, sweep: Sweep, priced: Priced, values: FloatArray, last: FloatArray
+        self, sweep: Sweep, costs: SweepCosts, values: FloatArray, last: FloatArray
     ) -> tuple[float, FloatArray]:
         """Return the certified bound at the start, and the lower bounds of all states, [states].
 
         Args:
             sweep: the backward sweeps.
-            priced: weights of the rewards, and lower bounds of the values beyond the cap.
+            costs: weights of the rewards, and lower bounds of the values beyond the cap.
             values: upper limits of the lower bounds, [states].
             last: lower bounds of the values in the last layer, [nodes].
         """
         layered = self.augmented
         given = values[:-1].reshape(layered.cap + 1, layered.base.n_nodes)
-        bounds, kept = sweep.bound(priced, given[:-1])
+        bounds, kept = sweep.bound(costs, given[:-1])
         bound = float(bounds[0])
         if values.size > KEPT_VALUES:
             return bound, np.broadcast_to(np.inf, values.shape)
@@ -291,11 +291,11 @@ def swept(
         totals: totals of the last layer that the sweep minimises with, [nodes, rewards].
         measures: exact totals in each layer beyond the cap, [layers, nodes, rewards].
     """
-    choice = sweep.room_for_choice(sweep.process.cap + 1)
+    choice = sweep.empty_choice(sweep.process.cap + 1)
     choice[-1 if weights is not None else slice(None)] = last
     if weights is None:
         return choice, sweep.measure(choice[:-1], measures)
     table = cast("OpenEnded", sweep.process)
     beyond = ahead_of(table, weighted(totals, weights))
-    priced = at_weights(sweep, weights, beyond, measures)
-    return choice, sweep.minimise(priced, choice[:-1])
+    costs = at_weights(sweep, weights, beyond, measures)
+    return choice, sweep.minimise(costs, choice[:-1])

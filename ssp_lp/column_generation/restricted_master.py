@@ -274,9 +274,9 @@ def _dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
     return sum((a * b for a, b in zip(one, other, strict=True) if a and b), Fraction(0))
 
 
-def _solved(rows: Sequence[Sequence[Fraction]], right: Sequence[Fraction]) -> list[Fraction]:
+def _solved(rows: Sequence[Sequence[Fraction]], rhs: Sequence[Fraction]) -> list[Fraction]:
     """Solve linear equations in fractions; raise ZeroDivisionError if they are singular."""
-    table = [[*row, b] for row, b in zip(rows, right, strict=True)]
+    table = [[*row, b] for row, b in zip(rows, rhs, strict=True)]
     for k in range(len(table)):
         pivot = next((i for i in range(k, len(table)) if table[i][k]), k)
         table[k], table[pivot] = table[pivot], table[k]
@@ -304,7 +304,7 @@ def _by_simplex(
         The optimal values, [variables], the rows' duals, [rows], and the basis, [rows].
     """
     n_rows = len(matrix)
-    right = np.eye(n_rows)[-1]
+    rhs = np.eye(n_rows)[-1]
     visited, circles, least = set[bytes](), 0, np.inf
     while circles < _CIRCLES:
         if (key := np.sort(basis).tobytes()) in visited:
@@ -315,7 +315,7 @@ def _by_simplex(
             inverse = np.asarray(np.linalg.inv(square), dtype=np.float64)
         except np.linalg.LinAlgError as error:
             raise SolverError("limits differ too much in size: scale the quantities") from error
-        values, x = _refined(inverse, square, right), np.zeros(cost.size)
+        values, x = _refined(inverse, square, rhs), np.zeros(cost.size)
         x[basis] = np.maximum(values, 0.0)
         dual = _refined(inverse.T, square.T, cost[basis])
         reduced = cost - dual @ matrix
@@ -356,7 +356,7 @@ def _least_ratio(over: FloatArray, under: FloatArray, able: BoolArray) -> int:
     return int(np.lexsort((-under, ratio))[0])
 
 
-def _refined(inverse: FloatArray, square: FloatArray, right: FloatArray) -> FloatArray:
-    """Return ``inverse @ right`` with one step of iterative refinement."""
-    x = inverse @ right
-    return np.asarray(x + inverse @ (right - square @ x))
+def _refined(inverse: FloatArray, square: FloatArray, rhs: FloatArray) -> FloatArray:
+    """Return ``inverse @ rhs`` with one step of iterative refinement."""
+    x = inverse @ rhs
+    return np.asarray(x + inverse @ (rhs - square @ x))

@@ -80,11 +80,11 @@ class Generated:
         return float(self.prices[:1].sum()) + self.ratio
 
     @property
-    def figures(self) -> FloatArray:
+    def rewards(self) -> FloatArray:
         """Expected rewards of the lottery, [rewards]: cost, failure and limits."""
         if len(self.columns) == 1:
-            return self.columns[0].figures
-        return np.asarray(self.weights @ np.stack([column.figures for column in self.columns]))
+            return self.columns[0].rewards
+        return np.asarray(self.weights @ np.stack([column.rewards for column in self.columns]))
 
     @property
     def failure(self) -> float:
@@ -103,7 +103,7 @@ class Generated:
     def given_success(self) -> float:
         """Expected cost given success; infinite if the goal probability is 0."""
         goal, never = self.goal, 0.0 if self.columns[0].by_goal else _NEVER
-        return float(self.figures[0]) / goal if goal > never else np.inf
+        return float(self.rewards[0]) / goal if goal > never else np.inf
 
     def lottery(self, pricing: PricingProblem) -> MixedPolicy:
         """Return the lottery as a mixed policy on the model."""
@@ -169,7 +169,7 @@ class Master:
     bound: float = 0.0  # lower bound of the optimum at these prices, not certified
     elastic: bool = False
     given_success: bool = False
-    luck: float = 0.0  # a goal probability this small is a rounded 0
+    floor: float = 0.0  # a goal probability this small is a rounded 0
     limit: FailureRow | None = None  # if failure alone is limited: gives intermediate proofs
     lottery: tuple[tuple[Column, ...], FloatArray] = ((), np.zeros(0))  # columns, their weights
     objective: float = np.inf  # of the lottery
@@ -226,7 +226,7 @@ class Master:
         weights = self.rows.weights(own, 0.0 if self.elastic else 1.0)
         if self.last is None or self.tried is None or not np.array_equal(weights, self.tried):
             began = time.perf_counter()
-            self.last = self.pool.priced(weights, *self.lottery[0])
+            self.last = self.pool.minimise(weights, *self.lottery[0])
             if self.limit is not None and deadline.is_limited():
                 self._prove_on_the_way(self.limit, weights, self.last, began)
         self._asked, self.tried = own, weights
@@ -244,12 +244,12 @@ class Master:
         """
         own, settled = self.optimum.prices, _NEAR * tolerance * self.size
         best, near, several = self.optimum.value, settled, len(own) > 1
-        beyond = column.figures[self.rows.index] - self.rows.bounds
+        beyond = column.rewards[self.rows.index] - self.rows.bounds
         earned = 0.0 if self.elastic else 1.0
-        objective = earned * float(column.figures[0] + self.rows.ratio * column.figures[1])
+        objective = earned * float(column.rewards[0] + self.rows.ratio * column.rewards[1])
         value = objective + float(self._asked @ beyond)
         weights = self.rows.weights(own, earned)
-        below = float(weights @ (self.basic.figures - column.figures))
+        below = float(weights @ (self.basic.rewards - column.rewards))
         if several:
             paid = float(own @ np.abs(beyond))
             near = max(near, _ROUNDING * (abs(objective) + paid))
@@ -271,7 +271,7 @@ class Master:
             self.lottery, self.objective = ((self.basic,), all_of_it), self.basic.cost
             self.size = abs(self.objective)
             return
-        figures = self.pool.figures
+        figures = self.pool.rewards
         for _ in range(_RATIOS):
             cost, taken = figures[0] + self.rows.ratio * figures[1], figures[rows.index]
             if self.elastic or len(taken) > 1:
@@ -290,7 +290,7 @@ class Master:
                 break
             for column, weight in zip(mixed, weights.tolist(), strict=True):
                 goal += weight * column.goal
-            attained = attained / goal if goal > self.luck else np.inf
+            attained = attained / goal if goal > self.floor else np.inf
             if not self.lottery[0] or attained < self.objective * (1.0 - _SETTLED):
                 self.lottery, self.objective = (mixed, weights), attained
             if not attained < self.rows.ratio * (1.0 - _SETTLED):
@@ -413,7 +413,7 @@ def certified(master: Master, row: FailureRow, generated: Generated, tolerance: 
             with deadline.closing():
                 weights = np.array([1.0, at])
                 proof = pricing.prove(weights, last, slack=slack or row.is_rare)
-    proof = proof or Proof(at, at, -np.inf, pricing.anything)
+    proof = proof or Proof(at, at, -np.inf, pricing.infinite)
     price = price if proof.price == at else max(proof.price, best if row.ratio else 0.0)
     pool.work = pool.work + proof.work
     base = best if row.ratio else 0.0
@@ -492,12 +492,12 @@ def columns_by_pricing(
             price = _STEEP * typical if typical > 0.0 else 1.0
         else:
             price = guess.price
-        if row.ratio and (covered := pricing.covered) > 0.0 and not (guess and guess.slack):
+        if row.ratio and (covered := pricing.covered_price) > 0.0 and not (guess and guess.slack):
             dearest, price = price, covered  # one sweep covers all lower prices
             if guess is not None:
                 price = min(max(guess.price, covered), guess.price * (1.0 + guess.spread))
     if search.stop:
-        raise deadline.Stop(told=doing) from search.stop
+        raise deadline.Stop(note=doing) from search.stop
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
     one_sided = price == 0.0 or (guess is not None and guess.slack)
     has_beside = row.ratio and not one_sided
@@ -506,9 +506,9 @@ def columns_by_pricing(
     pool = Pool(pricing)
     with deadline.WithIncumbent() as search:
         for step in (*steps, None):
-            last, value = pool.priced(np.array([1.0, price]), last, inside, outside), np.inf
-            for column in (last, *pricing.beside(last, row)) if has_beside else (last,):
-                if row.breaks(column):
+            last, value = pool.minimise(np.array([1.0, price]), last, inside, outside), np.inf
+            for column in (last, *pricing.nearby_columns(last, row)) if has_beside else (last,):
+                if row.is_violated_by(column):
                     outside = column
                 elif (worth := row.objective(column.cost, column.goal)) < np.inf:
                     inside, value = column, worth
@@ -520,13 +520,13 @@ def columns_by_pricing(
                 break
             size, ends = 1.0 + step, (last.failure, row.budget)
             if row.is_rare:
-                ends = last.goal, row.demanded
+                ends = last.goal, row.required
             if guess is None and min(ends) > 0.0:
                 # failure falls about as fast as the price rises: the square of their ratio
                 # overshoots, so that the columns lie on both sides, close together
                 ratio = max(ends) / min(ends)
                 size = min(max(ratio * ratio, _LEAST_FACTOR), size)
-            price = max(price, dearest) * size if row.spare(last) < 0.0 else price / size
+            price = max(price, dearest) * size if row.slack(last) < 0.0 else price / size
             dearest = 0.0
     if search.stop:
         inside = last = _initial_column_within(pricing, row, search.stop, inside, last)
@@ -558,7 +558,7 @@ def _initial_column_within(
         """Return whether a column has a policy, a finite objective, and failure within budget."""
         is_policy = column.choice is not None or column.policy is not None
         has_worth = row.objective(column.cost, column.goal) < np.inf
-        return is_policy and has_worth and not row.breaks(column)
+        return is_policy and has_worth and not row.is_violated_by(column)
 
     columns = [column for column in candidates if column is not None]
     with deadline.WithIncumbent(), deadline.closing():
@@ -569,7 +569,7 @@ def _initial_column_within(
     if not answers:
         least_failure = min((column.failure for column in columns), default=1.0)
         raise deadline.Stop(
-            told=f"the safest policy found fails with probability {least_failure:.6g}"
+            note=f"the safest policy found fails with probability {least_failure:.6g}"
         ) from stop
     return min(answers, key=lambda column: row.objective(column.cost, column.goal))
 
@@ -580,7 +580,7 @@ def lottery_within(
     rows: Rows,
     *,
     ratio: bool,
-    luck: float = 0.0,
+    floor: float = 0.0,
 ) -> Generated | None:
     """Return the best lottery within the rows over given columns; no further column is priced.
 
@@ -589,7 +589,7 @@ def lottery_within(
         columns: columns with their rewards on the model, which may differ from the process.
         rows: the limited rows.
         ratio: whether the objective is a cost given success.
-        luck: a goal probability of at most this counts as 0.
+        floor: a goal probability of at most this counts as 0.
 
     Returns:
         None if no lottery satisfies the rows and, if ``ratio``, reaches the goal.
@@ -599,10 +599,10 @@ def lottery_within(
     elastic = Master(pool, rows, none, elastic=True)
     elastic.solve()
     within = elastic.generated(finished=True)
-    if (within.figures[rows.index] > rows.bounds + _KEPT * np.abs(rows.bounds)).any():
+    if (within.rewards[rows.index] > rows.bounds + _KEPT * np.abs(rows.bounds)).any():
         return None
-    master = Master(pool, replace(rows, ratio=0.0), none, given_success=ratio, luck=luck)
-    if ratio and within.goal > luck:
+    master = Master(pool, replace(rows, ratio=0.0), none, given_success=ratio, floor=floor)
+    if ratio and within.goal > floor:
         master.lottery, master.objective = elastic.lottery, within.given_success
         master.rows = replace(rows, ratio=within.given_success)
     elif ratio:
@@ -613,7 +613,7 @@ def lottery_within(
 
 
 def without_negligible_prices(
-    prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
+    prices: FloatArray, sizes: FloatArray, objective: float, negligible_share: float = 1e-12
 ) -> FloatArray:
     """Return the prices, [rows], with those set to 0 that hardly affect the objective.
 
@@ -622,9 +622,10 @@ def without_negligible_prices(
         sizes: size of each row, [rows]: its bound or, for prices that prove a lower bound, the
             largest value of a policy in the row.
         objective: the objective.
-        trifle: a price is negligible if price times size is at most this share of the objective.
+        negligible_share: a price is negligible if price times size is at most this share of the
+        objective.
     """
-    return np.where(prices * sizes <= trifle * abs(objective), 0.0, prices)
+    return np.where(prices * sizes <= negligible_share * abs(objective), 0.0, prices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -641,7 +642,7 @@ class Rows:
     @classmethod
     def of_failure(cls, row: FailureRow, pricing: PricingProblem) -> Rows:
         """Return the failure row as the only row; no row if the budget is 1."""
-        bounds = np.full(int(row.demanded > 0.0), -row.demanded if pricing.by_goal else row.budget)
+        bounds = np.full(int(row.required > 0.0), -row.required if pricing.by_goal else row.budget)
         ones = np.ones(len(bounds))
         return cls(ones.astype(np.int64), bounds, ones, pricing.n_rewards, pricing.by_goal)
 
@@ -671,23 +672,23 @@ class Pool:
     forgets: bool = False  # whether columns outside the lottery are dropped
 
     @property
-    def figures(self) -> FloatArray:
+    def rewards(self) -> FloatArray:
         """Rewards of all columns, [rewards, columns]."""
-        return np.stack(tuple(map(attrgetter("figures"), self.columns)), axis=1)
+        return np.stack(tuple(map(attrgetter("rewards"), self.columns)), axis=1)
 
     def sizes(self, rows: Rows) -> FloatArray:
         """Return the size of each row, [rows].
 
         It is the largest absolute value of the row's bound and of the columns' values in the row.
         """
-        taken = np.abs(self.figures[rows.index]).max(axis=1, initial=0.0)
+        taken = np.abs(self.rewards[rows.index]).max(axis=1, initial=0.0)
         return np.asarray(np.maximum(np.abs(rows.bounds), taken))
 
     def best(self, weights: FloatArray) -> Column:
         """Return the column of least weighted rewards."""
-        return self.columns[-1 - int(np.argmin((weights @ self.figures)[::-1]))]
+        return self.columns[-1 - int(np.argmin((weights @ self.rewards)[::-1]))]
 
-    def priced(self, weights: FloatArray, *warm: Column | None) -> Column:
+    def minimise(self, weights: FloatArray, *warm: Column | None) -> Column:
         """Solve the pricing problem at the weights, starting from known columns.
 
         Args:
@@ -712,12 +713,12 @@ class Pool:
         if np.isfinite(attained) and attained > 0.0:
             return attained
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = self.figures[0] / [column.goal for column in self.columns]
+            ratios = self.rewards[0] / [column.goal for column in self.columns]
         return float(ratios[np.isfinite(ratios)].max(initial=0.0)) or 1.0
 
     def proved(self, weights: FloatArray) -> Proof:
         """Prove a lower bound of the weighted rewards of every column."""
-        return self.pricing.prove_afresh(weights, self.best(weights))
+        return self.pricing.minimise_and_prove(weights, self.best(weights))
 
     def add(self, column: Column) -> bool:
         """Add a column; return whether it is new."""
@@ -735,7 +736,7 @@ class Pool:
             index: positions of the limited rows among the rewards, [rows].
             bounds: [rows].
         """
-        taken = np.abs(self.figures[index]).max(axis=1, initial=0.0)
+        taken = np.abs(self.rewards[index]).max(axis=1, initial=0.0)
         scales = np.where(bounds == 0.0, taken, np.abs(bounds))
         scales = np.where(scales > 0.0, scales, 1.0)
         return Rows(index, bounds, scales, self.pricing.n_rewards, self.pricing.by_goal)

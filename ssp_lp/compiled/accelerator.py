@@ -119,7 +119,7 @@ def accelerated(entries: float, *loops: str) -> bool:
     if wish or not _is_installed():
         return wish != "none" and has_accelerator(wish)
     share = (entries + _CALL) / len(loops)
-    judged = [_loops.is_worth(loop, share) for loop in loops]
+    judged = [_loops.runs_compiled(loop, share) for loop in loops]
     return all(judged) and has_accelerator(wish)
 
 
@@ -224,7 +224,7 @@ class _Loops:
         self.is_given_up = False  # whether numba was interrupted
         self.places: list[Path] | None = None  # folders of numba's cache; None: not known yet
 
-    def is_worth(self, loop: str, entries: float) -> bool:
+    def runs_compiled(self, loop: str, entries: float) -> bool:
         """Count the entries of a call, and return whether the loop should run compiled."""
         if loop in self.running:
             return True

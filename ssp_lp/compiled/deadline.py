@@ -45,17 +45,17 @@ class Stop(Exception):  # noqa: N818 (no error, as StopIteration)
 
     Args:
         choice: the policy, in the loop's own form.
-        told: the results so far, in words, for the error's message.
+        note: the results so far, in words, for the error's message.
     """
 
-    def __init__(self, choice: Any = None, told: str = "") -> None:
-        super().__init__(told)
-        self.choice, self.told = choice, told
+    def __init__(self, choice: Any = None, note: str = "") -> None:
+        super().__init__(note)
+        self.choice, self.note = choice, note
 
 
-def interrupted(told: str = "") -> KeyboardInterrupt:
-    """Return the error for Ctrl-C before there was an answer; ``told``: the results so far."""
-    return KeyboardInterrupt("interrupted before there was an answer" + (told and f" ({told})"))
+def interrupted(note: str = "") -> KeyboardInterrupt:
+    """Return the error for Ctrl-C before there was an answer; ``note``: the results so far."""
+    return KeyboardInterrupt("interrupted before there was an answer" + (note and f" ({note})"))
 
 
 STOPS: Final = (Stop, KeyboardInterrupt)
@@ -97,7 +97,7 @@ class Deadline:
             end_with_incumbent(KeyboardInterrupt())
         if isinstance(error, Stop) and _running.get() is None:
             if self.is_interrupted:
-                raise interrupted(error.told) from None
+                raise interrupted(error.note) from None
             raise OutOfTimeError(self.late) from None
 
     def find_incumbent(self) -> None:

@@ -27,7 +27,7 @@ Array = np.ndarray[Any, Any]
 @compiled_loop
 def solve_by_elimination(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
-    order: Array, offsets: Array, first: int, last: int, most: int, rewards: Array, x: Array,
+    order: Array, offsets: Array, first: int, last: int, largest: int, rewards: Array, x: Array,
 ) -> int:  # fmt: skip
     """Solve ``x = rewards + chain @ x`` on the components ``first .. last - 1``, in this order.
 
@@ -43,16 +43,16 @@ def solve_by_elimination(
         offsets: offsets of the components in the order, [components + 1].
         first: first component to solve; all before it are solved.
         last: the component after the last one to solve.
-        most: number of states of the largest component.
+        largest: number of states of the largest component.
         rewards: [states, rewards].
         x: written, [states, rewards].
 
     Returns:
         The first component that is never left; -1 if there is none.
     """
-    inner, right = np.empty((most, most)), np.empty((most, rewards.shape[1]))
-    low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
-    place = np.full(rows.size if most > 1 else 0, -1, dtype=np.int32)
+    dense, rhs = np.empty((largest, largest)), np.empty((largest, rewards.shape[1]))
+    low, outflow = np.empty(largest, dtype=np.int64), np.empty(largest)
+    place = np.full(rows.size if largest > 1 else 0, -1, dtype=np.int32)
     for c in range(first, last):
         begin, size = offsets[c], offsets[c + 1] - offsets[c]
         if size == 1:
@@ -64,12 +64,12 @@ def solve_by_elimination(
             place[order[begin + i]] = i
         gather_component(
             indptr, indices, data, exits, rows, order, begin, size, place, rewards, False, x,
-            inner, low, leaving, right,
+            dense, low, outflow, rhs,
         )  # fmt: skip
-        if not eliminate_component(inner, low, leaving, right, size):
+        if not eliminate_component(dense, low, outflow, rhs, size):
             return c
         for i in range(size):
-            x[order[begin + i], :] = right[i, :]
+            x[order[begin + i], :] = rhs[i, :]
             place[order[begin + i]] = -1
     return -1
 
@@ -80,27 +80,27 @@ def _eliminate_one_state(
     rewards: Array, x: Array,
 ) -> bool:  # fmt: skip
     """Solve the equation of a component of one state; return False if the state is never left."""
-    departs = exits[row]
+    escape = exits[row]
     for j in range(x.shape[1]):
         x[s, j] = rewards[s, j]
     for k in range(indptr[row], indptr[row + np.uint32(1)]):
         successor, p = indices[k], data[k]
         if successor != s and p > 0.0:
-            departs += p
+            escape += p
             for j in range(x.shape[1]):
                 x[s, j] += p * x[successor, j]
-    if departs <= 0.0:
+    if escape <= 0.0:
         return False
     for j in range(x.shape[1]):
-        x[s, j] /= departs
+        x[s, j] /= escape
     return True
 
 
 @compiled_loop
 def gather_component(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
-    order: Array, begin: int, size: int, place: Array, rewards: Array, by_row: bool, x: Array,
-    inner: Array, low: Array, leaving: Array, right: Array,
+    order: Array, begin: int, size: int, position: Array, rewards: Array, by_row: bool, x: Array,
+    dense: Array, low: Array, outflow: Array, rhs: Array,
 ) -> None:  # fmt: skip
     """Write a component's equations: a dense matrix, exit probabilities, and right sides.
 
@@ -113,22 +113,22 @@ def gather_component(
         order: states, component by component, [states].
         begin: position of the component's first state in the order.
         size: number of its states.
-        place: position of each of its states in the component, -1 elsewhere, [states].
+        position: position of each of its states in the component, -1 elsewhere, [states].
         rewards: rewards of rows or of states.
         by_row: True: ``rewards`` has a row for each row of the chain; False: for each state.
         x: totals, known for the successors outside the component, [states, rewards].
-        inner: written: the matrix, [size, size].
+        dense: written: the matrix, [size, size].
         low: written: for each i the least j <= i such that entry (i, j) or (j, i) can differ from 0
             after all later states are eliminated, [size].
-        leaving: written: probability of leaving the component, [size].
-        right: written: rewards plus expected totals outside, [size, rewards].
+        outflow: written: probability of leaving the component, [size].
+        rhs: written: rewards plus expected totals outside, [size, rewards].
     """
     for i in range(size):
         low[i] = i
     for i in range(size):
         s = rows[order[begin + i]]
         for k in range(indptr[s], indptr[s + np.uint32(1)]):
-            other = np.int64(place[indices[k]])
+            other = np.int64(position[indices[k]])
             if other >= i:
                 low[other] = min(low[other], i)
             elif other >= 0:
@@ -138,44 +138,44 @@ def gather_component(
             low[i - 1] = min(low[i - 1], low[i])
     for i in range(size):
         for j in range(low[i], i + 1):
-            inner[i, j] = inner[j, i] = 0.0
+            dense[i, j] = dense[j, i] = 0.0
     for i in range(size):
         s = rows[order[begin + i]]
-        leaving[i] = exits[s]
+        outflow[i] = exits[s]
         owner = s if by_row else order[begin + i]
-        for j in range(right.shape[1]):
-            right[i, j] = rewards[owner, j]
+        for j in range(rhs.shape[1]):
+            rhs[i, j] = rewards[owner, j]
         for k in range(indptr[s], indptr[s + np.uint32(1)]):
             successor, p = indices[k], data[k]
-            if place[successor] >= 0:
-                inner[i, place[successor]] += p
+            if position[successor] >= 0:
+                dense[i, position[successor]] += p
             elif p > 0.0:
-                leaving[i] += p
-                for j in range(right.shape[1]):
-                    right[i, j] += p * x[successor, j]
+                outflow[i] += p
+                for j in range(rhs.shape[1]):
+                    rhs[i, j] += p * x[successor, j]
 
 
 @compiled_loop
-def eliminate_component(inner: Array, low: Array, leaving: Array, right: Array, size: int) -> bool:
+def eliminate_component(dense: Array, low: Array, outflow: Array, rhs: Array, size: int) -> bool:
     """Solve a component's dense equations in place; return False if the component is never left.
 
     The arguments are those that ``gather_component`` has written.
     """
-    flat, width = inner.reshape(-1), inner.shape[1]
-    if not eliminate_states(flat, width, 0, low, leaving, size):
+    flat, width = dense.reshape(-1), dense.shape[1]
+    if not eliminate_states(flat, width, 0, low, outflow, size):
         return False
-    solve_eliminated(flat, width, 0, low, right, size)
+    solve_eliminated(flat, width, 0, low, rhs, size)
     return True
 
 
 @compiled_loop
 def eliminate_states(
-    inner: Array, width: int, shift: int, low: Array, leaving: Array, size: int
+    dense: Array, width: int, shift: int, low: Array, outflow: Array, size: int
 ) -> bool:
     """Eliminate the states of a chain, last first, in place.
 
     Args:
-        inner: ``inner[i * width + shift + j]`` is the probability of going from i to j. On return
+        dense: ``dense[i * width + shift + j]`` is the probability of going from i to j. On return
             it is, for j < i, the reduced probability divided by the probability of departing; for
             j = i the probability of departing; for j > i the reduced probability with which i
             leads to j when j is eliminated.
@@ -183,63 +183,63 @@ def eliminate_states(
         shift: position of the first row.
         low: for each state the first one that it leads to or is reached from, after all later
             states are eliminated, [states].
-        leaving: probability of leaving from each state, [states]; overwritten.
+        outflow: probability of leaving from each state, [states]; overwritten.
         size: number of states.
 
     Returns:
         False if the chain is never left.
     """
     for i in range(size - 1, -1, -1):
-        row, first, departs = i * width + shift, low[i], leaving[i]
+        row, first, escape = i * width + shift, low[i], outflow[i]
         for j in range(first, i):
-            departs += inner[row + j]
-        if departs <= 0.0:
+            escape += dense[row + j]
+        if escape <= 0.0:
             return False
         for j in range(first, i):
-            inner[row + j] /= departs
-        inner[row + i] = departs
-        leaving[i] /= departs
+            dense[row + j] /= escape
+        dense[row + i] = escape
+        outflow[i] /= escape
         for r in range(first, i):
             other = r * width + shift
-            weight = inner[other + i]
+            weight = dense[other + i]
             if weight > 0.0:
                 for j in range(first, i):
-                    inner[other + j] += weight * inner[row + j]
-                leaving[r] += weight * leaving[i]
+                    dense[other + j] += weight * dense[row + j]
+                outflow[r] += weight * outflow[i]
     return True
 
 
 @compiled_loop
 def solve_eliminated(
-    inner: Array, width: int, shift: int, low: Array, right: Array, size: int
+    dense: Array, width: int, shift: int, low: Array, rhs: Array, size: int
 ) -> None:
     """Solve for right sides, in place, after ``eliminate_states``.
 
     Args:
-        inner: from ``eliminate_states``, as are ``width``, ``shift`` and ``low``.
-        right: right sides, overwritten by the solution, [states, rewards].
+        dense: from ``eliminate_states``, as are ``width``, ``shift`` and ``low``.
+        rhs: right sides, overwritten by the solution, [states, rewards].
         size: number of states.
     """
     for i in range(size - 1, -1, -1):
-        for k in range(right.shape[1]):
-            right[i, k] /= inner[i * width + shift + i]
+        for k in range(rhs.shape[1]):
+            rhs[i, k] /= dense[i * width + shift + i]
         for r in range(low[i], i):
-            weight = inner[r * width + shift + i]
+            weight = dense[r * width + shift + i]
             if weight > 0.0:
-                for k in range(right.shape[1]):
-                    right[r, k] += weight * right[i, k]
+                for k in range(rhs.shape[1]):
+                    rhs[r, k] += weight * rhs[i, k]
     for i in range(1, size):
         for j in range(low[i], i):
-            weight = inner[i * width + shift + j]
+            weight = dense[i * width + shift + j]
             if weight > 0.0:
-                for k in range(right.shape[1]):
-                    right[i, k] += weight * right[j, k]
+                for k in range(rhs.shape[1]):
+                    rhs[i, k] += weight * rhs[j, k]
 
 
 @one_or_all_cores
 def gather_inside(
-    indptr: Array, indices: Array, data: Array, exits: Array, states: Array, place: Array,
-    own_indptr: Array, own_indices: Array, own_data: Array, departs: Array, leaving: Array,
+    indptr: Array, indices: Array, data: Array, exits: Array, states: Array, position: Array,
+    own_indptr: Array, own_indices: Array, own_data: Array, escape: Array, outflow: Array,
 ) -> None:  # fmt: skip
     """Write a component's equations for sweeps, divided by the probability of departing.
 
@@ -249,14 +249,14 @@ def gather_inside(
         data: [entries].
         exits: [states].
         states: the members, in the order in which they are swept, [members].
-        place: position of each state among the members, -1 for other states, [states].
+        position: position of each state among the members, -1 for other states, [states].
         own_indptr: offsets of the members' rows, [members + 1].
         own_indices: written: positions of successors among the members; the member's own position
             in unused entries, [own entries].
         own_data: written: probabilities divided by that of departing; 0 in unused entries, [own
             entries].
-        departs: written: the probability of departing, [members].
-        leaving: written: the probability of leaving the component, [members].
+        escape: written: the probability of departing, [members].
+        outflow: written: the probability of leaving the component, [members].
     """
     for i in prange(states.size):
         s, at = states[i], np.int64(own_indptr[i])
@@ -265,23 +265,23 @@ def gather_inside(
             j, p = indices[k], data[k]
             if j == s or p <= 0.0:
                 continue
-            if place[j] < 0:
+            if position[j] < 0:
                 leaves += p
                 continue
             stays += p
-            own_indices[at], own_data[at] = place[j], p
+            own_indices[at], own_data[at] = position[j], p
             at += 1
-        departs[i], leaving[i] = leaves + stays, leaves
+        escape[i], outflow[i] = leaves + stays, leaves
         for k in range(np.int64(own_indptr[i]), at):
-            own_data[k] /= departs[i]
+            own_data[k] /= escape[i]
         for k in range(at, np.int64(own_indptr[i + 1])):
-            own_indices[k], own_data[k] = place[s], 0.0
+            own_indices[k], own_data[k] = position[s], 0.0
 
 
 @one_or_all_cores
-def from_beyond(
-    indptr: Array, indices: Array, data: Array, states: Array, place: Array, departs: Array,
-    rewards: Array, x: Array, right: Array,
+def gather_outside(
+    indptr: Array, indices: Array, data: Array, states: Array, position: Array, escape: Array,
+    rewards: Array, x: Array, rhs: Array,
 ) -> None:  # fmt: skip
     """Write a component's right sides: rewards plus expected totals of successors outside.
 
@@ -291,25 +291,23 @@ def from_beyond(
     Args:
         rewards: [states, rewards].
         x: totals, [states, rewards].
-        right: written, [members, rewards].
+        rhs: written, [members, rewards].
     """
     for i in prange(states.size):
         s = states[i]
         for j in range(rewards.shape[1]):
-            right[i, j] = rewards[s, j]
+            rhs[i, j] = rewards[s, j]
         for k in range(indptr[s], indptr[s + np.uint32(1)]):
-            if place[indices[k]] < 0:
+            if position[indices[k]] < 0:
                 for j in range(rewards.shape[1]):
-                    right[i, j] += data[k] * x[indices[k], j]
+                    rhs[i, j] += data[k] * x[indices[k], j]
         for j in range(rewards.shape[1]):
-            right[i, j] /= departs[i]
+            rhs[i, j] /= escape[i]
 
 
 @compiled_loop
-def sweep(
-    indptr: Array, indices: Array, data: Array, right: Array, x: Array
-) -> tuple[float, float]:
-    """Sweep over equations by Gauss-Seidel: set each x in turn to ``right + rows @ x``.
+def sweep(indptr: Array, indices: Array, data: Array, rhs: Array, x: Array) -> tuple[float, float]:
+    """Sweep over equations by Gauss-Seidel: set each x in turn to ``rhs + rows @ x``.
 
     It runs on one core, so that the result does not depend on timing; two cores would save less
     time than the immediate use of new values.
@@ -319,8 +317,8 @@ def sweep(
     """
     change, size = 0.0, 0.0
     if x.shape[1] == 2:  # both columns in one pass, so that each entry of the matrix is read once
-        for s in range(right.shape[0]):
-            first, second = right[s, 0], right[s, 1]
+        for s in range(rhs.shape[0]):
+            first, second = rhs[s, 0], rhs[s, 1]
             for k in range(indptr[s], indptr[np.uint32(s + 1)]):
                 weight, column = data[k], indices[k]
                 first += weight * x[column, 0]
@@ -329,9 +327,9 @@ def sweep(
             size = max(size, max(abs(first), abs(second)))
             x[s, 0], x[s, 1] = first, second
         return change, size
-    for s in range(right.shape[0]):
+    for s in range(rhs.shape[0]):
         for j in range(x.shape[1]):
-            total = right[s, j]
+            total = rhs[s, j]
             for k in range(indptr[s], indptr[np.uint32(s + 1)]):
                 total += data[k] * x[indices[k], j]
             change = max(change, abs(total - x[s, j]))
@@ -341,7 +339,7 @@ def sweep(
 
 
 @compiled_loop
-def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: Array) -> None:
+def _residual_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: Array) -> None:
     """Write the residual ``x - G x`` to ``miss``; G is a Gauss-Seidel sweep without rewards."""
     miss[:] = x
     for s in range(x.size):
@@ -387,7 +385,7 @@ def bicgstab(
     n = residual.size
     t, rho = np.empty(n), scalar[0]
     for step in range(most_steps):
-        _miss_of_sweep(indptr, indices, data, p, v)
+        _residual_of_sweep(indptr, indices, data, p, v)
         along = 0.0
         for s in range(n):
             along += shadow[s] * v[s]
@@ -396,7 +394,7 @@ def bicgstab(
         alpha = rho / along
         for s in range(n):
             residual[s] -= alpha * v[s]
-        _miss_of_sweep(indptr, indices, data, residual, t)
+        _residual_of_sweep(indptr, indices, data, residual, t)
         cross, square = 0.0, 0.0
         for s in range(n):
             cross += t[s] * residual[s]
@@ -533,28 +531,28 @@ def safe_advantage(
 
 @one_or_all_cores
 def advantages_precisely(
-    home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
+    owner: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     high: Array, low: Array, epsilon: float, result: Array, rounding: Array,
 ) -> None:  # fmt: skip
     """Compute all pairs' advantages in twice the working precision.
 
     ``result`` and the bounds of its rounding errors, ``rounding``, are written, [pairs] each.
     """
-    for row in prange(home.size):
+    for row in prange(owner.size):
         result[row], rounding[row] = precise_advantage(
-            row, home[row], indptr, indices, data, exits, cost[row], high, low, epsilon
+            row, owner[row], indptr, indices, data, exits, cost[row], high, low, epsilon
         )
 
 
 @one_or_all_cores
 def advantages_safely(
-    home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
+    owner: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
     values: Array, epsilon: float, result: Array,
 ) -> None:  # fmt: skip
     """Write lower bounds of all pairs' advantages, in working precision, to ``result``, [pairs]."""
-    for row in prange(home.size):
+    for row in prange(owner.size):
         result[row] = safe_advantage(
-            row, home[row], indptr, indices, data, exits, cost[row], values, epsilon
+            row, owner[row], indptr, indices, data, exits, cost[row], values, epsilon
         )
 
 
@@ -596,23 +594,23 @@ def lower_in_order(
     """
     for s in order:
         for row in range(offsets[s], offsets[s + np.uint32(1)]):
-            departs = exits[row]
+            escape = exits[row]
             for k in range(indptr[row], indptr[row + np.uint32(1)]):
-                departs += data[k] if indices[k] != s else 0.0
+                escape += data[k] if indices[k] != s else 0.0
             for _ in range(_LOWERINGS):
                 lack = -safe_advantage(
                     row, s, indptr, indices, data, exits, cost[row], values, epsilon
                 )
-                if not (lack > 0.0 and departs > 0.0):
+                if not (lack > 0.0 and escape > 0.0):
                     break
-                values[s] -= max(lack / departs, epsilon * abs(values[s]))
+                values[s] -= max(lack / escape, epsilon * abs(values[s]))
 
 
 @compiled_loop
 def evaluate_precisely(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
-    order: Array, offsets: Array, most: int, rewards: Array, accuracy: float, worst: float,
-    corrections: int, epsilon: float, x: Array, low: Array, runs: Array, missed: Array,
+    order: Array, offsets: Array, largest: int, rewards: Array, accuracy: float, worst: float,
+    corrections: int, epsilon: float, x: Array, low: Array, runs: Array, residuals: Array,
 ) -> bool:  # fmt: skip
     """Solve a policy's equations in twice the working precision; the solution is ``x + low``.
 
@@ -628,7 +626,7 @@ def evaluate_precisely(
         order: states, component by component, each component after those that it leads to,
             [states].
         offsets: offsets of the components in the order, [components + 1].
-        most: number of states of the largest component.
+        largest: number of states of the largest component.
         rewards: [rows, rewards].
         accuracy: error to reach, relative to the greatest total.
         worst: error that is accepted if corrections do not reach ``accuracy``.
@@ -637,18 +635,18 @@ def evaluate_precisely(
         x: written, [states, rewards].
         low: written, [states, rewards].
         runs: written: t, [states].
-        missed: written: greatest residual of the equations, [rewards].
+        residuals: written: greatest residual of the equations, [rewards].
 
     Returns:
         Whether the check has succeeded and the errors are small enough; False if some state is
         never left.
     """
     n, k = x.shape
-    right, solved = np.ones((n, k + 1)), np.empty((n, k + 1))
+    rhs, solved = np.ones((n, k + 1)), np.empty((n, k + 1))
     for s in range(n):
-        right[s, :k] = rewards[rows[s], :]
+        rhs[s, :k] = rewards[rows[s], :]
     chain = indptr, indices, data, exits, rows
-    if solve_by_elimination(*chain, order, offsets, 0, offsets.size - 1, most, right, solved) >= 0:
+    if solve_by_elimination(*chain, order, offsets, 0, offsets.size - 1, largest, rhs, solved) >= 0:
         return False
     longest = 0.0
     for s in range(n):
@@ -660,22 +658,22 @@ def evaluate_precisely(
             return False
     runs *= -1.0
     before = np.full(k, np.inf)
-    right, solved = np.empty((n, k)), np.empty((n, k))
+    rhs, solved = np.empty((n, k)), np.empty((n, k))
     is_verified = False
     for _ in range(corrections):
-        _precise_miss(*chain, rewards, x, low, epsilon, right, missed)
+        _precise_residuals(*chain, rewards, x, low, epsilon, rhs, residuals)
         is_verified, enough, better = True, True, False
         for j in range(k):
             scale = 0.0
             for s in range(n):
                 scale = max(scale, abs(x[s, j]))
-            enough &= 2.0 * longest * missed[j] <= accuracy * scale
-            is_verified &= 2.0 * longest * missed[j] <= worst * scale
-            better |= missed[j] < 0.5 * before[j]
+            enough &= 2.0 * longest * residuals[j] <= accuracy * scale
+            is_verified &= 2.0 * longest * residuals[j] <= worst * scale
+            better |= residuals[j] < 0.5 * before[j]
         if enough or not better:
             break
-        before[:] = missed
-        solve_by_elimination(*chain, order, offsets, 0, offsets.size - 1, most, right, solved)
+        before[:] = residuals
+        solve_by_elimination(*chain, order, offsets, 0, offsets.size - 1, largest, rhs, solved)
         for s in range(n):
             for j in range(k):
                 x[s, j], low[s, j] = _exact_sum(x[s, j], low[s, j] + solved[s, j])
@@ -683,21 +681,21 @@ def evaluate_precisely(
 
 
 @compiled_loop
-def _precise_miss(
+def _precise_residuals(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
-    rewards: Array, x: Array, low: Array, epsilon: float, off: Array, missed: Array,
+    rewards: Array, x: Array, low: Array, epsilon: float, off: Array, residuals: Array,
 ) -> None:  # fmt: skip
     """Compute residuals of totals ``x + low`` in twice the working precision.
 
     The residuals are written to ``off``, [states, rewards], and a bound of their greatest absolute
-    value to ``missed``, [rewards].
+    value to ``residuals``, [rewards].
     """
     for j in range(x.shape[1]):
-        missed[j] = 0.0
+        residuals[j] = 0.0
         for s in range(x.shape[0]):
             row = rows[s]
             off[s, j], rounding = precise_advantage(
                 row, s, indptr, indices, data, exits, rewards[row, j], x[:, j], low[:, j], epsilon
             )
             wrong = abs(off[s, j]) + rounding
-            missed[j] = max(missed[j], wrong) if wrong == wrong else np.inf
+            residuals[j] = max(residuals[j], wrong) if wrong == wrong else np.inf

@@ -57,31 +57,31 @@ def count_and_place(
 
 
 def search_backwards(
-    graph: tuple[IntArray, IntArray, IntArray], open_pairs: BoolArray, wanted: IntArray,
+    graph: tuple[IntArray, IntArray, IntArray], open_pairs: BoolArray, needed: IntArray,
     states: IntArray, choice: IntArray | None = None, distance: IntArray | None = None,
 ) -> None:  # fmt: skip
     """Search backwards from given states, breadth-first, and close the pairs that lead to them.
 
-    A state is reached as soon as ``wanted`` of its pairs are closed. If ``wanted`` is 1, the search
-    finds the states from which some pair may lead to a reached state. If ``wanted`` is the number
+    A state is reached as soon as ``needed`` of its pairs are closed. If ``needed`` is 1, the search
+    finds the states from which some pair may lead to a reached state. If ``needed`` is the number
     of open pairs, it finds the states from which every open pair may lead to a reached state.
 
     Args:
         graph: offsets of each state's predecessors, [states + 1]; the predecessors, which are
             pairs, [entries]; and the state of each pair, [pairs].
         open_pairs: pairs that are not closed yet; updated, [pairs].
-        wanted: number of pairs to close before a state is reached; updated, [states] int64.
+        needed: number of pairs to close before a state is reached; updated, [states] int64.
         states: the states from which the search begins, which are reached.
         choice: written: a pair by which each state is reached in the fewest steps; if there are
             several, the one with the lowest index, [states] int64.
         distance: zeros; written: steps from each reached state to ``states``, [states] int32.
     """
-    n, (offsets, pairs, home) = wanted.size, graph
+    n, (offsets, pairs, owner) = needed.size, graph
     choice = np.empty(n, dtype=np.int64) if choice is None else choice
     distance = np.zeros(n, dtype=np.int32) if distance is None else distance
     queue, head, filled = np.empty(n, dtype=np.uint32), 0, states.size
     queue[:filled] = states
-    arrays = offsets, unsigned(pairs), unsigned(home), open_pairs, wanted, choice, distance, queue
+    arrays = offsets, unsigned(pairs), unsigned(owner), open_pairs, needed, choice, distance, queue
     while head < filled:
         check_time()
         head, filled = take_from_queue(*arrays, head, filled)
@@ -89,7 +89,7 @@ def search_backwards(
 
 @compiled_loop
 def take_from_queue(
-    offsets: Array, pairs: Array, home: Array, open_pairs: Array, wanted: Array, choice: Array,
+    offsets: Array, pairs: Array, owner: Array, open_pairs: Array, needed: Array, choice: Array,
     distance: Array, queue: Array, head: int, filled: int,
 ) -> tuple[int, int]:  # fmt: skip
     """Process some states of the queue of ``search_backwards``; return its new head and end."""
@@ -102,12 +102,12 @@ def take_from_queue(
             if not open_pairs[pair]:
                 continue
             open_pairs[pair] = False
-            state = home[pair]
-            wanted[state] -= 1
-            if wanted[state] == 0:
+            state = owner[pair]
+            needed[state] -= 1
+            if needed[state] == 0:
                 choice[state], distance[state], queue[filled] = pair, steps, state
                 filled += 1
-            elif wanted[state] < 0 and distance[state] == steps and pair < choice[state]:
+            elif needed[state] < 0 and distance[state] == steps and pair < choice[state]:
                 choice[state] = pair
     return head, filled
 
@@ -273,7 +273,7 @@ def order_components(
 @compiled_loop
 def _search_components(
     begin: Array, end: Array, indices: Array, data: Array, label: Array,
-    number: Array, low: Array, place: Array, opened: Array, calls: Array, finished: Array,
+    number: Array, lowlink: Array, place: Array, opened: Array, calls: Array, finished: Array,
     counts: Array,
 ) -> bool:  # fmt: skip
     """Continue a depth-first search for strong components; return whether it has not ended.
@@ -286,7 +286,7 @@ def _search_components(
         label: written: component of each state, [states].
         number: order in which states were found, counted from 1; 0: not yet found; ``_CLOSED``: the
             state has a component, [states].
-        low: for each state the least ``number`` of an open state that it reaches, [states].
+        lowlink: for each state the least ``number`` of an open state that it reaches, [states].
         place: next entry to follow of each state, [states].
         opened: open states: found, but without a component, [states].
         calls: stack of the states on the search's path, [states].
@@ -301,7 +301,7 @@ def _search_components(
         entered = np.int64(-1)
         if depth > 0:
             state = calls[depth - 1]
-            entered = _not_entered(state, place, end, indices, data, number, low)
+            entered = _not_entered(state, place, end, indices, data, number, lowlink)
         elif root == label.size:
             goes_on = False
             break
@@ -312,7 +312,7 @@ def _search_components(
             entered = np.int64(state)
         if entered >= 0:
             visited += 1
-            number[entered] = low[entered] = visited
+            number[entered] = lowlink[entered] = visited
             opened[n_open] = calls[depth] = entered
             n_open, depth = n_open + 1, depth + 1
             continue
@@ -321,8 +321,8 @@ def _search_components(
         n_finished += 1
         if depth > 0:
             caller = calls[depth - 1]
-            low[caller] = min(low[caller], low[state])
-        if low[state] == number[state]:
+            lowlink[caller] = min(lowlink[caller], lowlink[state])
+        if lowlink[state] == number[state]:
             n_open = _close_component(state, opened, n_open, n_components, label, number)
             n_components += 1
     counts[0], counts[1], counts[2] = root, depth, n_open
@@ -333,19 +333,19 @@ def _search_components(
 @compiled_loop
 def _not_entered(
     state: int, place: Array, end: Array, indices: Array, data: Array,
-    number: Array, low: Array,
+    number: Array, lowlink: Array,
 ) -> np.int64:  # fmt: skip
     """Follow a state's entries to a successor that the search has not found yet; -1: no more."""
-    k, past, least = place[state], end[state], low[state]
+    k, past, least = place[state], end[state], lowlink[state]
     while k < past:
         successor, met = indices[k], number[indices[k]]
         if data[k] > 0.0:
             if met == 0:
-                place[state], low[state] = k + 1, least
+                place[state], lowlink[state] = k + 1, least
                 return np.int64(successor)
             least = min(least, met)
         k += 1
-    place[state], low[state] = k, least
+    place[state], lowlink[state] = k, least
     return np.int64(-1)
 
 

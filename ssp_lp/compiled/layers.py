@@ -41,11 +41,11 @@ class OneLayer(NamedTuple):
 
 @compiled_loop(inline="always")
 def _best_pair(
-    pick: Any, past: Any, layers: Any, one: OneLayer, values: Array,
+    first: Any, end: Any, layers: Any, one: OneLayer, values: Array,
 ) -> tuple[float, Any]:  # fmt: skip
     """Return the least value of a node's pairs in a layer, and the first pair that attains it."""
     least = np.inf
-    for pair in range(pick, past):
+    for pair in range(first, end):
         total = 0.0
         for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
             total += layers.data[k] * values[one.begin[layers.classes[k]] + layers.nodes[k]]
@@ -55,32 +55,32 @@ def _best_pair(
             stage += one.weight * one.factor * layers.growth[pair]
         total = stage + total
         if total < least:
-            least, pick = total, pair
-    return least, pick
+            least, first = total, pair
+    return least, first
 
 
 @compiled_loop(inline="always")
 def _measure_of(
-    pick: Any, layers: Any, one: OneLayer, measured: Array, here: Array,
+    pair: Any, layers: Any, one: OneLayer, measures: Array, result: Array,
 ) -> None:  # fmt: skip
-    """Write the measures of a pair in a layer to ``here``, [1 + counted]."""
-    for j in range(here.size):
-        here[j] = 0.0
-    for k in range(layers.indptr[pick], layers.indptr[pick + 1]):
+    """Write the measures of a pair in a layer to ``result``, [1 + counted]."""
+    for j in range(result.size):
+        result[j] = 0.0
+    for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
         place, share = one.begin[layers.classes[k]] + layers.nodes[k], layers.data[k]
-        for j in range(here.size):
-            here[j] += share * measured[place, j]
+        for j in range(result.size):
+            result[j] += share * measures[place, j]
     if one.factor != 0.0:
-        here[0] += one.factor * layers.growth[pick]
-    here[0] += one.charged[layers.column[pick]]
-    for j in range(1, here.size):
-        here[j] += layers.counted[pick, j - 1]
+        result[0] += one.factor * layers.growth[pair]
+    result[0] += one.charged[layers.column[pair]]
+    for j in range(1, result.size):
+        result[j] += layers.counted[pair, j - 1]
 
 
 @compiled_loop
 def _settle(
-    layers: Any, one: OneLayer, row: Any, values: Array, picks: Array, measured: Array,
-    here: Array,
+    layers: Any, one: OneLayer, row: Any, values: Array, picks: Array, measures: Array,
+    result: Array,
 ) -> None:  # fmt: skip
     """Write the least value of each node in a layer, and the pair that attains it.
 
@@ -93,10 +93,10 @@ def _settle(
             first = np.uint64(layers.offsets[s])
             past = np.uint64(layers.offsets[s + 1])
             least, pick = _best_pair(first, past, layers, one, values)
-            _measure_of(pick, layers, one, measured, here)
+            _measure_of(pick, layers, one, measures, result)
             values[row + s], picks[s] = least, pick - first
-            for j in range(here.size):
-                measured[row + s, j] = here[j]
+            for j in range(result.size):
+                measures[row + s, j] = result[j]
         return
     for turn in range(layers.turns):
         change, scale = 0.0, 0.0
@@ -116,7 +116,7 @@ def _settle(
 
 @compiled_loop
 def _measure(
-    layers: Any, one: OneLayer, picks: Array, row: Any, measured: Array, here: Array,
+    layers: Any, one: OneLayer, picks: Array, row: Any, measures: Array, result: Array,
 ) -> None:  # fmt: skip
     """Write the measures of the chosen pair of each node in a layer."""
     n = picks.size
@@ -124,19 +124,19 @@ def _measure(
         is_same = True
         for i in range(n):
             s = layers.order[i] if turn % 2 == 0 else layers.order[n - 1 - i]
-            pick, was = np.uint64(layers.offsets[s]) + np.uint64(picks[s]), measured[row + s]
-            _measure_of(pick, layers, one, measured, here)
-            for j in range(here.size):
-                if layers.turns > 1 and abs(here[j] - was[j]) > ACCURATE * abs(here[j]):
+            pick, was = np.uint64(layers.offsets[s]) + np.uint64(picks[s]), measures[row + s]
+            _measure_of(pick, layers, one, measures, result)
+            for j in range(result.size):
+                if layers.turns > 1 and abs(result[j] - was[j]) > ACCURATE * abs(result[j]):
                     is_same = False
-                was[j] = here[j]
+                was[j] = result[j]
         if is_same:
             break
 
 
 @compiled_loop
 def _lower(
-    layers: Any, one: OneLayer, row: Any, values: Array, within: Array,
+    layers: Any, one: OneLayer, row: Any, values: Array, free_steps: Array,
 ) -> None:  # fmt: skip
     """Reduce the values of a layer until none exceeds its Bellman backup, rounded down.
 
@@ -174,13 +174,13 @@ def _lower(
             return
     excess += 8.0 * MACHINE_EPSILON * (largest + excess)
     for s in range(n):
-        values[row + s] -= excess * within[s] * (1.0 + 4.0 * MACHINE_EPSILON)
+        values[row + s] -= excess * free_steps[s] * (1.0 + 4.0 * MACHINE_EPSILON)
 
 
 @compiled_loop
 def sweep_layers(
-    layers: Any, weight: float, owed: Array, saved: Array, values: Array, measured: Array,
-    position: Array, keeps: bool, within: Array, given: Array,
+    layers: Any, weight: float, owed: Array, saved: Array, values: Array, measures: Array,
+    position: Array, is_fixed: bool, free_steps: Array, ceiling: Array,
 ) -> None:  # fmt: skip
     """Compute values, or their lower bounds, by one backward sweep over a block of layers.
 
@@ -191,20 +191,20 @@ def sweep_layers(
         saved: reward of a pair, non-negative, [pairs].
         values: values of all layers: those of the block are written, those of later layers are
             read, [all layers * nodes].
-        measured: measures, in the same order, [all layers * nodes, 1 + counted]; empty: not
+        measures: measures, in the same order, [all layers * nodes, 1 + counted]; empty: not
             computed.
         position: the choice among each node's pairs, [layers, nodes].
-        keeps: True: ``position`` is given, and only ``measured`` is computed; False: ``position``
-            is written.
-        within: for each node a bound t of the expected number of free steps in a row: t >= 1 +
+        is_fixed: True: ``position`` is given, and only ``measures`` is computed; False:
+            ``position`` is written.
+        free_steps: for each node a bound t of the expected number of free steps in a row: t >= 1 +
             (mean of t after a free step), [nodes].
-        given: numbers that lower bounds must not exceed, [layers, nodes]; empty: compute least
+        ceiling: numbers that lower bounds must not exceed, [layers, nodes]; empty: compute least
             values instead of lower bounds.
     """
-    n, is_bound = layers.order.size, given.size > 0
-    rows = max(values.size, measured.shape[0]) // n
+    n, is_bound = layers.order.size, ceiling.size > 0
+    rows = max(values.size, measures.shape[0]) // n
     begin, unkept = np.empty(layers.leads.shape[1], np.uint64), np.empty(n, position.dtype)
-    here = np.empty(measured.shape[1])
+    result = np.empty(measures.shape[1])
     for layer in range(layers.paid.size - 1, -1, -1):
         ahead = layers.leads[0] + layer if layers.leads.shape[0] == 1 else layers.leads[layer]
         for step in range(begin.size):
@@ -215,19 +215,19 @@ def sweep_layers(
         row, later = np.uint64(layer * n), (layer + 1) % rows * n
         picks = unkept if is_bound else position[layer]
         if is_bound and layers.turns == 1:
-            values[row : row + n] = given[layer]
-        elif not keeps:
+            values[row : row + n] = ceiling[layer]
+        elif not is_fixed:
             if layers.turns > 1:
                 values[row : row + n] = values[later : later + n]
-            _settle(layers, one, row, values, picks, measured, here)
+            _settle(layers, one, row, values, picks, measures, result)
             if is_bound:
-                values[row : row + n] = np.minimum(values[row : row + n], given[layer])
+                values[row : row + n] = np.minimum(values[row : row + n], ceiling[layer])
         if is_bound:
-            _lower(layers, one, row, values, within)
-        elif keeps or layers.turns > 1:
+            _lower(layers, one, row, values, free_steps)
+        elif is_fixed or layers.turns > 1:
             if layers.turns > 1:
-                measured[row : row + n] = 0.0
-            _measure(layers, one, picks, row, measured, here)
+                measures[row : row + n] = 0.0
+            _measure(layers, one, picks, row, measures, result)
 
 
 @compiled_loop(inline="always")
@@ -264,43 +264,43 @@ def _total_of(
 
 @compiled_loop(inline="always")
 def _measure_run(
-    pick: Any, layers: Any, at: int, first: int, past: int, measured: Array, here: Array, s: int,
+    pair: Any, layers: Any, at: int, first: int, past: int, measures: Array, result: Array, s: int,
 ) -> None:  # fmt: skip
     """Write the measures of a node's pair in successive layers of a block.
 
     Args:
-        pick: the pair.
+        pair: the pair.
         layers: the layers.
         at: first layer of the block.
         first: first layer to write, counted from ``at``.
         past: the layer after the last one, counted from ``at``.
-        measured: updated, [1 + counted, nodes, all layers].
-        here: working memory for the sums, [layers of a block].
+        measures: updated, [1 + counted, nodes, all layers].
+        result: working memory for the sums, [layers of a block].
         s: the node.
     """
     charge_row = 0
-    for j in range(measured.shape[0]):
-        here[first:past] = 0.0
-        for k in range(layers.indptr[pick], layers.indptr[pick + 1]):
-            share, row = layers.data[k], measured[j, layers.nodes[k]]
+    for j in range(measures.shape[0]):
+        result[first:past] = 0.0
+        for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
+            share, row = layers.data[k], measures[j, layers.nodes[k]]
             begin = np.uint64(at + layers.leads[0, layers.classes[k]])
             for i in range(first, past):
-                here[i] += share * row[begin + np.uint64(i)]
+                result[i] += share * row[begin + np.uint64(i)]
         for i in range(first, past):
             if j > 0:
-                measured[j, s, at + i] = here[i] + layers.counted[pick, j - 1]
+                measures[j, s, at + i] = result[i] + layers.counted[pair, j - 1]
                 continue
             if layers.charge.shape[0] > 1:
                 charge_row = at + i
             if layers.growth.size > 0 and layers.paid[at + i] != 0.0:
-                here[i] += layers.paid[at + i] * layers.growth[pick]
-            measured[j, s, at + i] = here[i] + layers.charge[charge_row, layers.column[pick]]
+                result[i] += layers.paid[at + i] * layers.growth[pair]
+            measures[j, s, at + i] = result[i] + layers.charge[charge_row, layers.column[pair]]
 
 
 @compiled_loop
 def sweep_blocks(
     layers: Any, block: int, weight: float, owed: Array, saved: Array, values: Array,
-    measured: Array, position: Array, keeps: bool, is_bound: bool, given: Array,
+    measures: Array, position: Array, is_fixed: bool, is_bound: bool, ceiling: Array,
 ) -> None:  # fmt: skip
     """Sweep backward like ``sweep_layers``, in blocks of layers that do not lead to each other.
 
@@ -315,13 +315,13 @@ def sweep_blocks(
         saved: as in ``sweep_layers``.
         values: values of all layers: those of the swept layers are written, those of later layers
             are read, [nodes, all layers].
-        measured: measures of the same layers, [1 + counted, nodes, all layers]; no nodes: not
+        measures: measures of the same layers, [1 + counted, nodes, all layers]; no nodes: not
             computed.
         position: the choice among each node's pairs, [layers, nodes].
-        keeps: True: ``position`` is given, and only ``measured`` is computed; False: ``position``
-            is written.
+        is_fixed: True: ``position`` is given, and only ``measures`` is computed; False:
+            ``position`` is written.
         is_bound: whether lower bounds are computed, rounded down, rather than least values.
-        given: numbers that lower bounds must not exceed, [layers, nodes]; empty: no limits.
+        ceiling: numbers that lower bounds must not exceed, [layers, nodes]; empty: no limits.
     """
     n, top = layers.offsets.size - 1, layers.paid.size
     total, size = np.empty(block), np.empty(block if is_bound else 0)
@@ -331,7 +331,7 @@ def sweep_blocks(
         at = top - many
         for s in range(n):
             first = np.int64(layers.offsets[s])
-            if not keeps:
+            if not is_fixed:
                 least[:] = np.inf
                 for pair in range(first, np.int64(layers.offsets[s + 1])):
                     _total_of(pair, layers, at, many, values, total, size)
@@ -356,17 +356,17 @@ def sweep_blocks(
                         least[j] = min(least[j], total[j])
                 for j in range(many):
                     values[s, at + j] = least[j]
-                    if given.size > 0:
-                        values[s, at + j] = min(least[j], given[at + j, s])
+                    if ceiling.size > 0:
+                        values[s, at + j] = min(least[j], ceiling[at + j, s])
                     if position.size > 0:
                         position[at + j, s] = picks[j]
-            if measured.shape[1] == 0:
+            if measures.shape[1] == 0:
                 continue
             begun = 0
             for j in range(1, many + 1):
                 if j == many or position[at + j, s] != position[at + begun, s]:
                     pick = np.uint64(first) + np.uint64(position[at + begun, s])
-                    _measure_run(pick, layers, at, begun, j, measured, total, s)
+                    _measure_run(pick, layers, at, begun, j, measures, total, s)
                     begun = j
         top = at
 
@@ -405,7 +405,7 @@ def stream_mass(
 
 @compiled_loop
 def stream_evenly(
-    waiting: Array, first: int, decision: Array, hopeful: Array, acting: Array, at_goal: Array,
+    waiting: Array, first: int, decision: Array, alive: Array, acting: Array, at_goal: Array,
     pair_offsets: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
     leads: Array, costs: Array, stage: Array, stopping: Array, forbidden: Array, goes_on: bool,
     column: int, survival: float, totals: Array, stopped: Array,
@@ -418,7 +418,7 @@ def stream_evenly(
             alone, [rows, states, 1].
         first: the first layer.
         decision: position in the state's pairs, or a code, [layers, states].
-        hopeful: whether the goal can be reached, [layers, states]; empty: everywhere.
+        alive: whether the goal can be reached, [layers, states]; empty: everywhere.
         acting: whether episodes go on, [states].
         at_goal: [states].
         pair_offsets: [states + 1].
@@ -451,7 +451,7 @@ def stream_evenly(
                 paid, lost = row[s, column + 1], row[s, column + 2]
             if mass == 0.0 and lost == 0.0:
                 continue
-            hopes = hopeful.size == 0 or hopeful[layer, s]
+            hopes = alive.size == 0 or alive[layer, s]
             code = np.int64(decision[layer, s])
             quits, moves = acting[s] and code == -1, acting[s] and code >= 0
             if (quits and is_charged and forbidden[s]) or (acting[s] and code < -1):
@@ -518,9 +518,9 @@ def stream_layers(
     for ahead in range(arrived.size):
         row = (first + ahead) % heads.size
         while heads[row] >= 0:
-            here = heads[row]
-            heads[row], mass, node = links[here], waiting[here], here - row * size
-            waiting[here] = 0.0
+            result = heads[row]
+            heads[row], mass, node = links[result], waiting[result], result - row * size
+            waiting[result] = 0.0
             if node == size - 1:
                 arrived[ahead] += mass
                 continue
@@ -555,7 +555,7 @@ def _add_exactly(sums: Array, j: int, term: float) -> None:
 @compiled_loop
 def follow_layer(
     mass: Array, position: Array,
-    offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array,
+    offsets: Array, indptr: Array, starts: Array, indices: Array, data: Array,
     charge: Array, growth: Array, layer: float, counted: Array, onward: Array, sums: Array,
 ) -> None:  # fmt: skip
     """Move the mass of a layer by the chosen pairs, and add the charges and rewards to ``sums``.
@@ -565,7 +565,7 @@ def follow_layer(
         position: position of the chosen pair among the node's pairs, [nodes].
         offsets: pairs of each node, [nodes + 1].
         indptr: position of each pair's first column, [pairs + 1].
-        begins: position of each pair's first number, [pairs].
+        starts: position of each pair's first number, [pairs].
         indices: columns.
         data: numbers.
         charge: charge of arriving, [pairs].
@@ -588,7 +588,7 @@ def follow_layer(
             terms[j] = counted[pair, j - 1]
         for j in range(terms.size):
             _add_exactly(sums, j, mass[s] * terms[j])
-        first, begin = indptr[pair], begins[pair]
+        first, begin = indptr[pair], starts[pair]
         for k in range(indptr[pair + np.uint64(1)] - first):
             onward[indices[first + k]] += mass[s] * data[begin + k]
 
@@ -610,14 +610,14 @@ def follow_layers(
     """
     rows, to = ring.shape[0], np.empty(layers.leads.shape[1], np.int64)
     for layer in range(first, first + position.shape[0]):
-        here, even = ring[layer % rows], 0 if layers.charge.shape[0] == 1 else layer
+        result, even = ring[layer % rows], 0 if layers.charge.shape[0] == 1 else layer
         for step in range(to.size):
             to[step] = (layer + layers.leads[0, step]) % rows
-        for s in range(here.size):
-            mass = here[s]
+        for s in range(result.size):
+            mass = result[s]
             if mass <= 0.0:
                 continue
-            here[s] = 0.0
+            result[s] = 0.0
             pair = layers.offsets[s] + np.uint64(position[layer - first, s])
             for j in range(sums.shape[0]):
                 if j > 0:
@@ -636,7 +636,7 @@ def follow_layers(
 def stream_marks(
     decision: Array, acting: Array, pair_offsets: Array,
     offsets: Array, successors: Array, probabilities: Array, classes: Array,
-    leads: Array, order: Array, hopeful: Array,
+    leads: Array, order: Array, alive: Array,
 ) -> None:  # fmt: skip
     """Mark, layer by layer backwards, the states from which a policy may reach a marked state.
 
@@ -652,7 +652,7 @@ def stream_marks(
         classes: class of the step cost, [outcomes]; empty: all outcomes are of class 0.
         leads: layers that each class of steps passes, [classes].
         order: states, each after the states its free steps lead to, as far as possible, [states].
-        hopeful: marks; those of the layers are written, those of later layers are read, [all
+        alive: marks; those of the layers are written, those of later layers are read, [all
             layers, states].
     """
     n_layers, n = decision.shape
@@ -663,13 +663,13 @@ def stream_marks(
             marked = 0
             for i in prange(n):
                 s = order[i]
-                if decision[layer, s] >= 0 and acting[s] and not hopeful[layer, s]:
+                if decision[layer, s] >= 0 and acting[s] and not alive[layer, s]:
                     pair = pair_offsets[s] + decision[layer, s]
                     for outcome in range(offsets[pair], offsets[pair + 1]):
                         step = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
                         later = layer + leads[step]
-                        if probabilities[outcome] > 0.0 and hopeful[later, successors[outcome]]:
-                            hopeful[layer, s] = True
+                        if probabilities[outcome] > 0.0 and alive[later, successors[outcome]]:
+                            alive[layer, s] = True
                             marked += 1
                             break
             if not stays:

@@ -19,7 +19,7 @@ Array = np.ndarray[Any, Any]
 @compiled_loop
 def count_rows(
     outcome_offsets: Array, successors: Array, probabilities: Array, node_of: Array, pair_at: Array,
-    home: Array, counts: Array, departs: Array, leaks: Array,
+    owner: Array, counts: Array, escape: Array, leaks: Array,
 ) -> None:  # fmt: skip
     """Count the entries of a process's rows, and sum the probability of ending.
 
@@ -29,13 +29,13 @@ def count_rows(
         probabilities: [outcomes].
         node_of: node of each state; negative if runs end there, [states].
         pair_at: the model's pair for each row; negative: giving up, [rows].
-        home: node of each row, if self-loops are removed, [rows]; otherwise empty.
+        owner: node of each row, if self-loops are removed, [rows]; otherwise empty.
         counts: written: number of entries, [rows].
-        departs: written: probability of departing from the node, if a self-loop is removed, else 1,
+        escape: written: probability of departing from the node, if a self-loop is removed, else 1,
             [rows].
         leaks: written: probability that the run ends, [rows].
     """
-    departing = home.size > 0
+    departing = owner.size > 0
     for row in range(pair_at.size):
         entries, loops, leak, away = 0, 0, 0.0, 0.0
         if pair_at[row] < 0:
@@ -47,7 +47,7 @@ def count_rows(
                 if node < 0:
                     leak += probabilities[k]
                 elif probabilities[k] > 0.0:
-                    if departing and node == home[row]:
+                    if departing and node == owner[row]:
                         loops += 1
                     else:
                         away += probabilities[k]
@@ -56,14 +56,14 @@ def count_rows(
         if loops > 0 and mass == 0.0:
             entries += loops
         counts[row] = entries
-        departs[row] = mass if loops > 0 and mass > 0.0 else 1.0
+        escape[row] = mass if loops > 0 and mass > 0.0 else 1.0
         leaks[row] = leak
 
 
 @compiled_loop
 def fill_rows(
     outcome_offsets: Array, successors: Array, probabilities: Array, ahead: Array, node_of: Array,
-    n_nodes: int, pair_at: Array, home: Array, departs: Array, survival: float, indptr: Array,
+    n_nodes: int, pair_at: Array, owner: Array, escape: Array, survival: float, indptr: Array,
     indices: Array, data: Array,
 ) -> None:  # fmt: skip
     """Write columns and probabilities of the entries that ``count_rows`` counted.
@@ -78,7 +78,7 @@ def fill_rows(
         indices: written: node plus ``n_nodes`` for each layer passed, [entries].
         data: written, [entries].
     """
-    departing, layered = home.size > 0, ahead.size > 0
+    departing, layered = owner.size > 0, ahead.size > 0
     for row in range(pair_at.size):
         place, end = indptr[row], indptr[row + 1]
         if place < end:
@@ -87,33 +87,33 @@ def fill_rows(
             only_loops = departing
             if departing:
                 for k in range(begin, stop):
-                    if probabilities[k] > 0.0 and node_of[successors[k]] != home[row]:
+                    if probabilities[k] > 0.0 and node_of[successors[k]] != owner[row]:
                         only_loops = False
                         break
             for k in range(begin, stop):
                 node = node_of[successors[k]]
                 if node < 0 or probabilities[k] <= 0.0:
                     continue
-                if departing and node == home[row] and not only_loops:
+                if departing and node == owner[row] and not only_loops:
                     continue
                 column = np.int64(node)
                 if layered:
                     column += np.int64(ahead[k]) * n_nodes
                 indices[place] = column
-                data[place] = probabilities[k] / departs[row] * survival
+                data[place] = probabilities[k] / escape[row] * survival
                 place += 1
 
 
 @compiled_loop
 def share_rows(
-    indptr: Array, numbers: Array, begins: Array, data: Array, slots: Array, used: int
+    indptr: Array, numbers: Array, starts: Array, data: Array, slots: Array, used: int
 ) -> int:
     """Store the numbers of rows, equal rows once, and the position of each row's numbers.
 
     Args:
         indptr: offsets of each row's numbers, [rows + 1].
         numbers: positive, [entries].
-        begins: written, the position in ``data`` of each row's first number, [rows].
+        starts: written, the position in ``data`` of each row's first number, [rows].
         data: written from position ``used`` on.
         slots: a hash table from rows to positions in ``data``, -1 in empty slots; its size is a
             power of two, and at least twice the size of ``data``.
@@ -123,7 +123,7 @@ def share_rows(
         The number of entries in use after the call; -1 if ``data`` is too small.
     """
     bits, shared = numbers.view(np.uint64), data.view(np.uint64)
-    for row in range(begins.size):
+    for row in range(starts.size):
         first, length = np.int64(indptr[row]), np.int64(indptr[row + 1]) - np.int64(indptr[row])
         mixed = np.uint64(length)
         for k in range(first, first + length):
@@ -144,19 +144,19 @@ def share_rows(
             data[used : used + length] = numbers[first : first + length]
             slots[slot] = used
             used += int(length)
-        begins[row] = slots[slot]
+        starts[row] = slots[slot]
     return used
 
 
 @one_or_all_cores
 def row_product(
-    choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, x: Array,
+    choice: Array, indptr: Array, starts: Array, indices: Array, data: Array, x: Array,
     result: Array,
 ) -> None:  # fmt: skip
     """Multiply chosen rows of a matrix by one vector."""
     for s in prange(choice.size):
         row = choice[s]
-        total, first, begin = 0.0, indptr[row], begins[row]
+        total, first, begin = 0.0, indptr[row], starts[row]
         for k in range(indptr[row + 1] - first):
             total += data[begin + k] * x[indices[first + k]]
         result[s] = total
@@ -164,12 +164,12 @@ def row_product(
 
 @one_or_all_cores
 def row_products(
-    choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, x: Array,
+    choice: Array, indptr: Array, starts: Array, indices: Array, data: Array, x: Array,
     result: Array,
 ) -> None:  # fmt: skip
     """Multiply chosen rows of a matrix by several vectors, [states, vectors]."""
     for s in prange(choice.size):
-        first, begin = indptr[choice[s]], begins[choice[s]]
+        first, begin = indptr[choice[s]], starts[choice[s]]
         result[s] = 0.0
         for k in range(indptr[choice[s] + 1] - first):
             weight, column = data[begin + k], indices[first + k]
@@ -179,12 +179,12 @@ def row_products(
 
 @one_or_all_cores
 def copy_rows(
-    choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, own_indptr: Array,
+    choice: Array, indptr: Array, starts: Array, indices: Array, data: Array, own_indptr: Array,
     own_indices: Array, own_data: Array,
 ) -> None:  # fmt: skip
     """Copy chosen rows of a matrix to ``own_indices`` and ``own_data``, one after the other."""
     for s in prange(choice.size):
-        first, begin, place = indptr[choice[s]], begins[choice[s]], own_indptr[s]
+        first, begin, place = indptr[choice[s]], starts[choice[s]], own_indptr[s]
         for k in range(own_indptr[s + 1] - place):
             own_indices[place + k] = indices[first + k]
             own_data[place + k] = data[begin + k]

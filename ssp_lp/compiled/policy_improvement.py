@@ -22,7 +22,7 @@ _MOST_ROUNDS = 1_000
 
 @compiled_loop
 def improve_components(
-    rows: Rows, order: Array, components: Array, most: int, cost: Array, noise: float,
+    rows: Rows, order: Array, components: Array, largest: int, cost: Array, noise: float,
     choice: Array, values: Array,
 ) -> int:  # fmt: skip
     """Improve a policy until its values are least, component by component.
@@ -36,7 +36,7 @@ def improve_components(
         order: states, component by component, each component after those that it leads to,
             [states].
         components: offsets of the components in the order, [components + 1].
-        most: number of states of the largest component.
+        largest: number of states of the largest component.
         cost: [pairs].
         noise: relative gain up to which the present pair is kept.
         choice: pairs of a policy by which every run ends, improved in place, [states].
@@ -45,15 +45,15 @@ def improve_components(
     Returns:
         The first component that the policy does not leave; -1 if there is none.
     """
-    inner, right = np.empty((most, most)), np.empty((most, 1))
-    low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
-    place = np.full(values.size if most > 1 else 0, -1, dtype=np.int32)
+    dense, rhs = np.empty((largest, largest)), np.empty((largest, 1))
+    low, outflow = np.empty(largest, dtype=np.int64), np.empty(largest)
+    place = np.full(values.size if largest > 1 else 0, -1, dtype=np.int32)
     for c in range(components.size - 1):
         begin, end = components[c], components[c + 1]
         if end - begin > 1:
             if not _improve_component(
                 rows, order[begin:end], place, cost, noise, choice, values,
-                inner, low, leaving, right,
+                dense, low, outflow, rhs,
             ):  # fmt: skip
                 return c
             continue
@@ -69,7 +69,7 @@ def improve_components(
 
 @compiled_loop
 def improve_acyclic(
-    rows: Rows, order: Array, rewards: Array, cost: Array, keeps: bool, epsilon: float,
+    rows: Rows, order: Array, rewards: Array, cost: Array, is_fixed: bool, epsilon: float,
     choice: Array, x: Array, runs: Array, missed: Array,
 ) -> bool:  # fmt: skip
     """Improve a policy in one pass over a process without cycles, and compute all totals.
@@ -81,9 +81,9 @@ def improve_acyclic(
         order: states, each after the states that it leads to, [states].
         rewards: [pairs, rewards].
         cost: the weighted sum of the rewards, which is minimised, [pairs].
-        keeps: True: evaluate the given pairs without improving them.
+        is_fixed: True: evaluate the given pairs without improving them.
         epsilon: the machine epsilon.
-        choice: the given pairs, overwritten by better ones unless ``keeps``, [states].
+        choice: the given pairs, overwritten by better ones unless ``is_fixed``, [states].
         x: written: expected totals, [states, rewards].
         runs: written: expected steps, [states].
         missed: written: for each reward the greatest value, over the states, of half the error
@@ -97,20 +97,20 @@ def improve_acyclic(
     values, wrong = np.empty(runs.size), np.empty(x.shape)
     missed[:] = 0.0
     for s in order:
-        if not keeps:
+        if not is_fixed:
             pick, values[s], kept, _ = _best_pair(rows, cost, values, s, choice[s])
             if values[s] < kept:
                 choice[s] = pick
         pick, slip, steps = choice[s], 0.0, 1.0
-        departs = exits[pick]
+        escape = exits[pick]
         for k in range(indptr[pick], indptr[pick + np.uint32(1)]):
             if indices[k] != s:
-                departs += data[k]
-                slip += departs
+                escape += data[k]
+                slip += escape
                 steps += data[k] * runs[indices[k]]
-        if departs <= 0.0:
+        if escape <= 0.0:
             return False
-        runs[s] = steps / departs
+        runs[s] = steps / escape
         for j in range(n_rewards):
             total, rounded, error = rewards[pick, j], 0.0, 0.0
             for k in range(indptr[pick], indptr[pick + np.uint32(1)]):
@@ -119,29 +119,29 @@ def improve_acyclic(
                     total += term
                     rounded += abs(total) + abs(term)
                     error += data[k] * wrong[indices[k], j]
-            x[s, j] = total / departs
-            rounded += abs(x[s, j]) * (slip + departs)
-            wrong[s, j] = (error + unit * rounded) / departs
+            x[s, j] = total / escape
+            rounded += abs(x[s, j]) * (slip + escape)
+            wrong[s, j] = (error + unit * rounded) / escape
             missed[j] = max(missed[j], 0.5 * wrong[s, j] / runs[s])
     return True
 
 
 @compiled_loop
 def _improve_component(
-    rows: Rows, states: Array, place: Array, cost: Array, noise: float,
-    choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
+    rows: Rows, states: Array, position: Array, cost: Array, noise: float,
+    choice: Array, values: Array, dense: Array, low: Array, outflow: Array, rhs: Array,
 ) -> bool:  # fmt: skip
     """Improve a policy within a component by Howard's policy iteration.
 
     Args:
         rows: the process.
         states: states of the component.
-        place: working memory, filled with -1, [all states].
+        position: working memory, filled with -1, [all states].
         cost: [pairs].
         noise: relative gain up to which the present pair is kept.
         choice: pairs of the policy, improved in place, [all states].
         values: values; written for the component, [all states].
-        inner: working memory for ``gather_component``, as are ``low``, ``leaving`` and ``right``.
+        dense: working memory for ``gather_component``, as are ``low``, ``outflow`` and ``rhs``.
 
     Returns:
         False if a policy never leaves the component from some state.
@@ -150,17 +150,17 @@ def _improve_component(
     column, rewards = values.reshape(values.size, 1), cost.reshape(cost.size, 1)
     size, leaves = states.size, True
     for i in range(size):
-        place[states[i]] = i
+        position[states[i]] = i
     for _ in range(_MOST_ROUNDS):
         gather_component(
-            indptr, indices, data, exits, choice, states, 0, size, place, rewards, True, column,
-            inner, low, leaving, right,
+            indptr, indices, data, exits, choice, states, 0, size, position, rewards, True, column,
+            dense, low, outflow, rhs,
         )  # fmt: skip
-        leaves = eliminate_component(inner, low, leaving, right, size)
+        leaves = eliminate_component(dense, low, outflow, rhs, size)
         if not leaves:
             break
         for i in range(size):
-            values[states[i]] = right[i, 0]
+            values[states[i]] = rhs[i, 0]
         changed = False
         for s in states:
             pick, least, kept, terms = _best_pair(rows, cost, values, s, choice[s])
@@ -169,13 +169,13 @@ def _improve_component(
         if not changed:
             break
     for i in range(size):
-        place[states[i]] = -1
+        position[states[i]] = -1
     return leaves
 
 
 @compiled_loop
 def _best_pair(
-    rows: Rows, cost: Array, values: Array, s: int, held: int
+    rows: Rows, cost: Array, values: Array, s: int, current: int
 ) -> tuple[int, float, float, float]:
     """Return the first best pair of a state, and its value.
 
@@ -187,25 +187,25 @@ def _best_pair(
         cost: [pairs].
         values: [states].
         s: the state.
-        held: its present pair.
+        current: its present pair.
 
     Returns:
         The best pair, its value, the present pair's value, and the sum of the absolute terms of the
         present pair's value.
     """
     offsets, indptr, indices, data, exits = rows
-    pick, least, kept, size = held, np.inf, np.inf, 0.0
+    pick, least, kept, size = current, np.inf, np.inf, 0.0
     for pair in range(offsets[s], offsets[s + np.uint32(1)]):
-        total, departs, whole = cost[pair], exits[pair], abs(cost[pair])
+        total, escape, whole = cost[pair], exits[pair], abs(cost[pair])
         for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
             if indices[k] != s:
-                departs += data[k]
+                escape += data[k]
                 total += data[k] * values[indices[k]]
                 whole += data[k] * abs(values[indices[k]])
-        if departs > 0.0:
-            total /= departs
-            if pair == held:
-                kept, size = total, whole / departs
+        if escape > 0.0:
+            total /= escape
+            if pair == current:
+                kept, size = total, whole / escape
             if total < least:
                 pick, least = pair, total
     return pick, least, kept, size
@@ -252,7 +252,7 @@ def improve_states(
 
 @compiled_loop
 def sweep_reach(
-    rows: Rows, order: Array, wanted: Array, epsilon: float, up: bool, choice: Array, values: Array
+    rows: Rows, order: Array, hit: Array, epsilon: float, up: bool, choice: Array, values: Array
 ) -> float:
     """Update bounds of the greatest probability of leaving by an exit, by one sweep over states.
 
@@ -263,7 +263,7 @@ def sweep_reach(
     Args:
         rows: the process.
         order: the states to visit.
-        wanted: probability of leaving by the exit in one step, [pairs].
+        hit: probability of leaving by the exit in one step, [pairs].
         epsilon: the machine epsilon.
         up: True for upper bounds, False for lower bounds.
         choice: pair of each state, updated, [states].
@@ -277,7 +277,7 @@ def sweep_reach(
     for s in order:
         greatest, pick = -1.0, choice[s]
         for pair in range(offsets[s], offsets[s + np.uint32(1)]):
-            total, begin, end = wanted[pair], indptr[pair], indptr[pair + np.uint32(1)]
+            total, begin, end = hit[pair], indptr[pair], indptr[pair + np.uint32(1)]
             for k in range(begin, end):
                 total += data[k] * values[indices[k]]
             total += sign * (float(end - begin) + 4.0) * epsilon * total
@@ -351,26 +351,26 @@ def reach_in_order(
 
 @compiled_loop
 def follow_reach(
-    begins: Array, ends: Array, indices: Array, data: Array, order: Array, wanted: Array,
-    epsilon: float, turned: bool, values: Array,
+    starts: Array, ends: Array, indices: Array, data: Array, order: Array, hit: Array,
+    epsilon: float, is_reversed: bool, values: Array,
 ) -> None:  # fmt: skip
     """Update lower bounds of a policy's probability of leaving by an exit, state by state.
 
     Args:
-        begins: position of the first entry in the row of each visited state's pair, [visited].
+        starts: position of the first entry in the row of each visited state's pair, [visited].
         ends: position after the last entry of this row, [visited].
         indices: [entries].
         data: [entries].
         order: the states to visit, [visited].
-        wanted: probability of leaving by the exit in one step, by the pair of each visited state,
+        hit: probability of leaving by the exit in one step, by the pair of each visited state,
             [visited].
         epsilon: the machine epsilon.
-        turned: whether to visit the last state first.
+        is_reversed: whether to visit the last state first.
         values: the bounds, updated, [all states].
     """
     for number in range(order.size):
-        i = np.uint64(order.size - 1 - number if turned else number)
-        s, total, begin, end = order[i], wanted[i], begins[i], ends[i]
+        i = np.uint64(order.size - 1 - number if is_reversed else number)
+        s, total, begin, end = order[i], hit[i], starts[i], ends[i]
         for k in range(begin, end):
             total += data[k] * values[indices[k]]
         total *= 1.0 - (float(end - begin) + 5.0) * epsilon

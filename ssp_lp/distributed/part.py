@@ -40,7 +40,7 @@ class Part(SSP):
     """Numbers of states that were looked up and are not known here."""
 
     @cached_property
-    def kept_facts(self) -> dict[str, Any]:
+    def cached_facts(self) -> dict[str, Any]:
         """Cache of facts, by name: about the whole graph, and about the costs of the part."""
         return dict(self.facts)
 
@@ -60,7 +60,7 @@ class Part(SSP):
 
     def of_all_states(self, made: FloatArray) -> FloatArray:
         """Extend values of the own states to all states of the part, ghosts included, [states]."""
-        return self.halo.filled(made)
+        return self.halo.with_ghosts(made)
 
     def find(self, state: Any) -> int | None:
         """Return the index in the part of a state given by its number in the model.
@@ -104,8 +104,8 @@ class Part(SSP):
         halo = Halo(self.halo.ranks, self.halo.n_own, np.append(self.halo.ghosts, more))
         offsets = np.append(self.pair_offsets, np.full(len(more), self.n_pairs))
         kept = fields_of(self, SSP) | _named(halo, self.sets)
-        kept |= {"pair_offsets": read_only(offsets), "goal_mask": halo.filled(self.goal_mask)}
-        facts = {name: halo.filled(fact) for name, fact in self.facts.items()}
+        kept |= {"pair_offsets": read_only(offsets), "goal_mask": halo.with_ghosts(self.goal_mask)}
+        facts = {name: halo.with_ghosts(fact) for name, fact in self.facts.items()}
         return Part(**kept, halo=halo, sets=self.sets, facts=facts)
 
 

@@ -130,11 +130,11 @@ class PartitionedModel:
 
         sets = ranks.agreed(checked)
         checksums = {name: crc32(of.astype(np.int64).tobytes()) for name, of in sets.items()}
-        ranks.alike("models", {"n_states": n_states, "checksums of named states": checksums})
+        ranks.check_same("models", {"n_states": n_states, "checksums of named states": checksums})
         ends = balanced_bounds(ranks, rows, n_states) if bounds is None else bounds
         goals = sets.pop("goal_states")
         part = ranks.together(lambda: made_part(ranks, rows, goals, sets, np.asarray(ends)))
-        ranks.alike("models", {"the named costs": sorted(part.named_costs)})
+        ranks.check_same("models", {"the named costs": sorted(part.named_costs)})
         return cls(part, ranks)
 
     @classmethod
@@ -186,7 +186,7 @@ class PartitionedModel:
         tolerance: float = RELATIVE_GAP,
         progress: Progress | None = None,
         checkpoint: str | Path | None = None,
-        **asked: Any,
+        **given: Any,
     ) -> PartitionedSolution:
         """Solve a problem of case M; all ranks must call this.
 
@@ -206,11 +206,11 @@ class PartitionedModel:
         began, ranks, method = time.perf_counter(), self.ranks, ColumnGeneration()
         told = progress if ranks.comm.rank == 0 else None
         options = ranks.agreed(lambda: options_of(method, tolerance, began, None, told))
-        problem = self._stated(criterion, asked)
-        ranks.alike("options", {"tolerance": tolerance, "checkpoint": str(checkpoint)})
+        problem = self._stated(criterion, given)
+        ranks.check_same("options", {"tolerance": tolerance, "checkpoint": str(checkpoint)})
         return ranks.together(lambda: self._solved(problem, options, checkpoint))
 
-    def evaluate(self, policy: PartitionedPolicy, criterion: type[Any], **asked: Any) -> Measured:
+    def evaluate(self, policy: PartitionedPolicy, criterion: type[Any], **given: Any) -> Measured:
         """Evaluate a policy on the rows of all ranks, to a bounded error; all ranks must call this.
 
         As in ``ssp_lp.evaluate``, a policy has failed as soon as it can no longer reach the goal by
@@ -224,7 +224,7 @@ class PartitionedModel:
             ModelError: the policy belongs to another model, has no decision in a state, or gives
                 up where this is forbidden.
         """
-        problem = self._stated(criterion, asked)
+        problem = self._stated(criterion, given)
 
         def checked() -> None:
             if not isinstance(policy, PartitionedPolicy) or policy.part is not self.part:
@@ -233,7 +233,7 @@ class PartitionedModel:
             policy.check()
 
         self.ranks.agreed(checked)
-        self.ranks.alike("policies", {"the members' weights": policy.weights.tolist()})
+        self.ranks.check_same("policies", {"the members' weights": policy.weights.tolist()})
 
         def measured() -> Measured:
             """Evaluate each member as a column of the process."""
@@ -244,7 +244,7 @@ class PartitionedModel:
 
         return self.ranks.together(measured)
 
-    def _stated(self, criterion: type[Any], asked: Mapping[str, Any]) -> Formulation:
+    def _stated(self, criterion: type[Any], given: Mapping[str, Any]) -> Formulation:
         """Build a problem on the rank's part of the model, extended by the states that it names.
 
         Raises:
@@ -252,14 +252,14 @@ class PartitionedModel:
         """
         ranks, part = self.ranks, self.part
         while True:
-            problem = ranks.caught(partial(_checked_problem, criterion, part, asked))
+            problem = ranks.caught(partial(_checked_problem, criterion, part, given))
             wanted = set().union(*ranks.comm.allgather(part.wanted))
             part.wanted.clear()
             if not wanted:
                 break
             part = part.knowing(wanted)  # an unknown state may have caused an error
         stated: Formulation = ranks.agreed(lambda: problem)
-        ranks.alike("questions", _words(stated))
+        ranks.check_same("questions", _words(stated))
         return stated
 
     def _compiled(self, problem: Formulation, **more: Any) -> CompiledPartitioned:
@@ -290,7 +290,7 @@ class PartitionedModel:
         began = time.perf_counter()
         kept = _Checkpoint(self.part, checkpoint, repr(_words(problem)))
         compiled: Any = self._compiled(problem, kept=kept.keep)
-        guess = kept.begun(compiled.pricing())
+        guess = kept.first_guess(compiled.pricing())
         if compiled.budget is None:
             compiled = compiled.bounded(compiled.least.column.failure, compiled.side)
         if compiled.side or compiled.objective is not None:
@@ -301,13 +301,13 @@ class PartitionedModel:
             exactly = replace(options, tolerance=finer * options.tolerance)
             found = refined_optimum(compiled, compiled.budget, exactly, guess)
             prices = {FAILURE_ROW: found.price}
-        lottery, bound = found.policy, compiled.sense.settled_bound(found.value, found.bound)
+        lottery, bound = found.policy, compiled.sense.bound_or_value(found.value, found.bound)
         reason = f"column generation on {self.ranks.comm.size} ranks, {found.calls} pricing calls"
         seconds = time.perf_counter() - began
         positions = np.stack([one.positions for one in lottery.policies])
         return PartitionedSolution(
             **_figures(compiled, lottery.weights, lottery.policies),
-            lower_bound=compiled.sense.worth(bound),
+            lower_bound=compiled.sense.stated(bound),
             policy=PartitionedPolicy(self.part, lottery.weights, positions),
             prices=prices,
             run=Run(options.method, reason, found.calls, seconds, found.work),
@@ -333,7 +333,7 @@ class _Checkpoint:
 
         self._earlier = part.halo.ranks.agreed(lambda: found(Path(folder)) if folder else [])
 
-    def begun(self, process: PartitionedProcess) -> DualGuess | None:
+    def first_guess(self, process: PartitionedProcess) -> DualGuess | None:
         """Evaluate the last policies of an earlier run; return its last price as a first guess.
 
         Raises:
@@ -361,8 +361,8 @@ def _figures(
     compiled: CompiledPartitioned, weights: FloatArray, members: Sequence[Any]
 ) -> dict[str, Any]:
     """Return objective, failure and limited quantities of a lottery and of each member."""
-    figures = np.stack([one.figures for one in members])
-    figures[:, 0] = [compiled.sense.worth(cost) for cost in figures[:, 0].tolist()]
+    figures = np.stack([one.rewards for one in members])
+    figures[:, 0] = [compiled.sense.stated(cost) for cost in figures[:, 0].tolist()]
     for place, row in enumerate(compiled.side, 2):
         figures[:, place] = row.sign * (figures[:, place] - row.offset)
     objective, failure, *spent = (weights @ figures).tolist()
@@ -371,7 +371,7 @@ def _figures(
             "spent": dict(zip(names, spent, strict=True))}  # fmt: skip
 
 
-def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any]) -> Formulation:
+def _checked_problem(criterion: type[Any], part: Part, given: Mapping[str, Any]) -> Formulation:
     """Return the problem on a part of the model, after checking that ranks can solve it.
 
     Raises:
@@ -381,10 +381,10 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
         raise wrong_argument("criterion", "be a class such as MCMP, with keyword arguments",
                              criterion)  # fmt: skip
     name = criterion.__name__
-    if asked.get("horizon") is not None or asked.get("reach_fraction") is not None:
+    if given.get("horizon") is not None or given.get("reach_fraction") is not None:
         raise ModelError("ranks support neither horizon nor reach_fraction: make the number of "
                          "steps part of the states, and give failure_budget")  # fmt: skip
-    problem: Formulation = criterion(part, **asked)
+    problem: Formulation = criterion(part, **given)
     if problem.semantics.charge(problem.ratio) is not None:
         raise ModelError(f"{name} counts the total cost of a run: {_WHOLE}, or use MCMP on ranks")
     if problem.semantics.forbids_failing or problem.semantics.aim is Aim.LEAST_GOAL:
@@ -402,10 +402,10 @@ def _checked_problem(criterion: type[Any], part: Part, asked: Mapping[str, Any])
 
 def _words(problem: Formulation) -> dict[str, Any]:
     """Return a problem as texts and numbers, by name, so that ranks can compare their problems."""
-    asked = repr((problem.semantics, problem.quantity, problem.start))
+    given = repr((problem.semantics, problem.quantity, problem.start))
     return {
         "the criterion": type(problem).__name__,
-        "what an episode is worth, or its start": re.sub(r" at 0x\w+", "", asked),
+        "what an episode is worth, or its start": re.sub(r" at 0x\w+", "", given),
         "failure_budget": problem.failure_budget,
         "discount": problem.discount,
         "the limits": [(one.name, one.lower, one.upper) for one in problem.conditions],

@@ -43,7 +43,7 @@ from ssp_lp.dynamic_programming.evaluation import EVALUATED, RUN_ACCURACY
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.model.graph import Graph, pairs_into
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Branches, Policy
-from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
+from ssp_lp.processes.failure_label import LabelledProcess, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import Aim, GiveUp, free_pairs, giving_up_states
 from ssp_lp.processes.quotient import build_quotient
 
@@ -69,7 +69,7 @@ class _OwnDecisions(Policy):
 
     model: Part
     positions: IntArray  # [own states] among the actions, GIVE_UP_CODE or UNDECIDED
-    figures: FloatArray  # [rewards] totals of the policy
+    rewards: FloatArray  # [rewards] totals of the policy
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """Raise an error, since a rank has only the decisions of its own states.
@@ -81,7 +81,7 @@ class _OwnDecisions(Policy):
 
 
 class _Equations:
-    """Equations ``x = right + rows @ x`` of a policy, solved by all ranks together."""
+    """Equations ``x = rhs + rows @ x`` of a policy, solved by all ranks together."""
 
     def __init__(self, process: PartitionedProcess, choice: IntArray, values: FloatArray) -> None:
         """Set up the equations of a policy.
@@ -118,7 +118,7 @@ class _Equations:
         halo, order, petsc = self.halo, self._order, self.halo.ranks.petsc
         place, rows = np.empty(halo.n_own), self.moves.transitions
         place[order] = np.arange(halo.n_own)
-        numbers = halo.filled(halo.first + place).astype(petsc.IntType)
+        numbers = halo.with_ghosts(halo.first + place).astype(petsc.IntType)
         shape = halo.n_own, halo.n_all
         here, parts = halo.first, (rows.data, numbers[rows.indices], rows.indptr)
         # scipy adds up duplicates, of which PETSc would keep the last
@@ -142,12 +142,12 @@ class _Equations:
             one.destroy()
 
     def solve(
-        self, right: FloatArray, guess: FloatArray, accuracy: float, *, precise: bool = False
+        self, rhs: FloatArray, guess: FloatArray, accuracy: float, *, precise: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Solve the equations by corrections of a guess.
 
         Args:
-            right: right side, [own nodes].
+            rhs: right side, [own nodes].
             guess: approximate solution, [own nodes].
             accuracy: greatest residual, relative to the solution, that suffices.
             precise: whether to compute residuals in twice the working precision.
@@ -158,17 +158,17 @@ class _Equations:
         Raises:
             SolverError: no method reaches the accuracy.
         """
-        ranks, filled, moves = self.halo.ranks, self.halo.filled, self.moves
+        ranks, filled, moves = self.halo.ranks, self.halo.with_ghosts, self.moves
         x, low = guess, np.zeros_like(guess)
-        if not ranks.any(right):
+        if not ranks.any(rhs):
             return low, low
-        kept, missed, scale = (x, low, right), np.inf, 0.0
+        kept, missed, scale = (x, low, rhs), np.inf, 0.0
         ksp, left, step, _ = self._solver
         for _ in range(_RUNS):
             if precise:
-                residual, rounding = moves.precise_advantages(right, filled(x), filled(low))
+                residual, rounding = moves.precise_advantages(rhs, filled(x), filled(low))
             else:
-                residual, rounding = right - x + moves.transitions @ filled(x), low
+                residual, rounding = rhs - x + moves.transitions @ filled(x), low
             sizes = [size.max(initial=0.0) for size in (np.abs(residual) + rounding, np.abs(x))]
             now, most = ranks.greatest(sizes).tolist()
             if now < missed:
@@ -202,7 +202,7 @@ class _Equations:
         half = np.full(self.halo.n_own, -0.5)
         for accuracy in (RUN_ACCURACY, _FINEST, EXACT):
             runs, _ = self.solve(np.ones_like(half), guess, accuracy)
-            ahead = self.moves.safe_advantages(half, self.halo.filled(-runs))
+            ahead = self.moves.safe_advantages(half, self.halo.with_ghosts(-runs))
             if not self.halo.ranks.any((ahead < 0.0) | (runs < 0.0)):
                 return runs
         raise SolverError(HOLDS_MASS)
@@ -212,12 +212,12 @@ class _Equations:
 class PartitionedProcess(PricingProblem):
     """The process of case M on the rows of all ranks; each rank has the arrays of its own nodes."""
 
-    labelled: FailureLabelled
+    labelled: LabelledProcess
     halo: Halo  # over the nodes of the process
     rewards: FloatArray  # [own pairs, rewards] cost, failure, rows
     at_once: FloatArray  # [rewards] rewards of start mass on goals and dead-ends
     start: FloatArray  # [own nodes]
-    asks_for_ends: bool  # whether ends other than the goal count, or giving up is not allowed
+    wants_ends: bool  # whether ends other than the goal count, or giving up is not allowed
     stays: IntArray  # [own nodes] a free pair that stays for ever, in place of giving up; -1: none
     kept: Callable[[IntArray, FloatArray], None] | None = None  # called with each new column
     earlier: list[Column] = field(default_factory=list)  # columns of an earlier run
@@ -265,7 +265,7 @@ class PartitionedProcess(PricingProblem):
         """Find a column of least priced cost by policy iteration, with totals of bounded error."""
         weights, known = self._weights(price), (*warm, *self.earlier)
         evaluated = [one for one in known if one and one.totals is not None] or [self.first()]
-        best = min(evaluated, key=lambda column: float(weights @ column.figures))
+        best = min(evaluated, key=lambda column: float(weights @ column.rewards))
         choice, totals = np.asarray(best.choice), np.asarray(best.totals)
         cost, values = weighted(self.rewards, weights), weighted(totals[:, :-1], weights)
         work, accuracy = Work(), _ROUGH
@@ -309,11 +309,11 @@ class PartitionedProcess(PricingProblem):
             accuracy: residual of the values, relative to the greatest value.
         """
         offsets = self.dynamics.pair_offsets[: self.halo.n_own + 1]
-        known = self.halo.filled(values)
+        known = self.halo.with_ghosts(values)
         backup = best_pairs(offsets, self.dynamics.transitions, cost, known, choice)
         noise = accuracy * self.ranks.greatest(np.abs(values).max(initial=0.0))
-        least = IMPROVEMENT * np.abs(backup.here) + (noise if accuracy > EXACT else 0.0)
-        better = backup.here - backup.minima > least
+        least = IMPROVEMENT * np.abs(backup.current_values) + (noise if accuracy > EXACT else 0.0)
+        better = backup.current_values - backup.minima > least
         if not self.ranks.any(better):
             return None
         return np.where(better, backup.choice, choice).astype(np.int32)
@@ -334,12 +334,12 @@ class PartitionedProcess(PricingProblem):
         n, entries = self.halo.n_own, len(self.dynamics.transitions.indices)
         if self.ranks.any(not accelerated(entries, "policy_improvement.improve_states")):
             return choice  # policy iteration alone converges as well
-        full, known = np.zeros(self.halo.size, dtype=np.int32), self.halo.filled(values)
+        full, known = np.zeros(self.halo.size, dtype=np.int32), self.halo.with_ghosts(values)
         full[:n] = choice
         for _ in range(_SWEEPS // _EXCHANGED):
             how = cost, full, known, 0.0, _EXCHANGED
             self.dynamics.improve_by_sweeps(*how, is_sorted_anew=True, states=np.arange(n))
-            known = self.halo.filled(known)
+            known = self.halo.with_ghosts(known)
         values[:] = known[:n]
         return full[:n]
 
@@ -360,7 +360,7 @@ class PartitionedProcess(PricingProblem):
         """
         choice = equations.choice
         leads = self.labelled.process.goal[choice] > 0.0
-        if self.asks_for_ends:
+        if self.wants_ends:
             leads = (self.rewards[choice] != 0.0).any(axis=1) | (self.dynamics.exits[choice] > 0.0)
         lost = ~equations.leading(leads) & (self._exits >= 0)
         return np.where(lost, self._exits, choice).astype(np.int32)
@@ -413,23 +413,23 @@ class PartitionedProcess(PricingProblem):
             int(np.argmax(weights > 0.0)),
         )
         for k in sorted(range(self.n_rewards), key=last.__eq__):
-            right, about = np.ascontiguousarray(self.rewards[choice, k]), totals[:, k]
+            rhs, about = np.ascontiguousarray(self.rewards[choice, k]), totals[:, k]
             if k == last:  # the others are known by now
                 about = about + (equations.values - weighted(totals[:, :-1], weights)) / weights[k]
-            about = np.where(equations.leading(right != 0.0), about, 0.0)  # these 0 are exact
-            x, _ = equations.solve(right, about, _PLAIN)
-            x, low = equations.solve(right, x, accuracy, precise=True)
+            about = np.where(equations.leading(rhs != 0.0), about, 0.0)  # these 0 are exact
+            x, _ = equations.solve(rhs, about, _PLAIN)
+            x, low = equations.solve(rhs, x, accuracy, precise=True)
             figures[k] += self.ranks.total(self.start @ x + self.start @ low)
             totals[:, k] = x
         equations.clear()
-        return Column.of_figures(figures, choice, totals=totals, work=Work(1, equations.products))
+        return Column.of_rewards(figures, choice, totals=totals, work=Work(1, equations.products))
 
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound of every column's priced value from the values of a best policy."""
         totals = np.asarray(best.totals)[:, :-1]
         return self.check(price, weighted(totals, self._weights(price)))
 
-    def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
+    def minimise_and_prove(self, weights: FloatArray, warm: Column) -> Proof:
         """Find the best column at new weights, and prove the lower bound that it implies."""
         return self.prove(weights, self.minimise(weights, warm))
 
@@ -472,7 +472,7 @@ class PartitionedProcess(PricingProblem):
             lowered = floor + (1.0 - share) * (values - floor) - share * _BELOW * most
             lowered = np.maximum(lowered, floor)
             for _ in range(_LOWERINGS if share else 1):
-                lack = shortfall(dynamics, cost, self.halo.filled(lowered))[:n]
+                lack = shortfall(dynamics, cost, self.halo.with_ghosts(lowered))[:n]
                 if not self.ranks.any(lack):
                     return np.asarray(lowered)
                 below = np.minimum(lowered - lack, np.nextafter(lowered, -np.inf))
@@ -482,7 +482,7 @@ class PartitionedProcess(PricingProblem):
     def pulled_back(self, column: Column) -> Policy:
         """Return a column as a policy that has the decisions in the rank's own states."""
         part: Any = self.labelled.quotient.model
-        return _OwnDecisions(part, self._positions(column), column.figures)
+        return _OwnDecisions(part, self._positions(column), column.rewards)
 
     @property
     def _live(self) -> BoolArray:
@@ -558,7 +558,7 @@ def partitioned_process(compiled: CompiledExplicit, **more: Any) -> PartitionedP
     rows += [row.at(counting) for row in compiled.side]
     n_own = int(np.count_nonzero(live & own))
     numbers = np.where(live, halo.ranks.comm.scan(n_own) - n_own + np.cumsum(live) - 1, 0)
-    numbers = halo.filled(numbers.astype(np.float64)).astype(np.int64)
+    numbers = halo.with_ghosts(numbers.astype(np.float64)).astype(np.int64)
     return PartitionedProcess(
         labelled,
         Halo(halo.ranks, n_own, numbers[live][n_own:]),
@@ -605,7 +605,7 @@ class CompiledPartitioned(CompiledExplicit):
         stated = CompiledExplicit(replace(self.facts, discount=discount), self.semantics)
         return compiled_on_ranks(stated).least_failure().column.failure
 
-    def settled(self, *known: Column) -> CompiledPartitioned:
+    def at_least_failure(self, *known: Column) -> CompiledPartitioned:
         """Return the problem; a budget just below the least failure is replaced by the latter.
 
         Raises:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, IntArray
-from ssp_lp.cargo import Cargo
+from ssp_lp.cargo import Store
 from ssp_lp.errors import ModelError, SSPError, in_short, optional_module
 from ssp_lp.model.graph import Graph, drain, nearer_pairs, pairs_into, reaching_states
 
@@ -65,24 +65,24 @@ class Ranks:
         """
         made = self.caught(make)
         failed = isinstance(made, SSPError)
-        for packed in self.comm.allgather(Cargo().pack(made) if failed else None):
+        for packed in self.comm.allgather(Store().pack(made) if failed else None):
             if packed is not None:
-                raise made if failed else Cargo().unpack(packed)
+                raise made if failed else Store().unpack(packed)
         return made  # type: ignore[no-any-return]
 
-    def alike(self, what: str, mine: Mapping[str, Any]) -> None:
+    def check_same(self, what: str, values: Mapping[str, Any]) -> None:
         """Check that every rank has the same values.
 
         Args:
             what: name of the compared values, for the message.
-            mine: this rank's values by name, which can be sent and compared.
+            values: this rank's values by name, which can be sent and compared.
 
         Raises:
             ModelError: values differ; every rank raises it, naming two ranks and their values.
         """
-        every = self.comm.allgather(mine)
+        every = self.comm.allgather(values)
         for rank, other in enumerate(every):
-            for name in mine:
+            for name in values:
                 if (one := every[0][name]) != (two := other[name]):
                     raise ModelError(f"the ranks state different {what}: {name} is {in_short(one)} "
                                      f"on rank 0, {in_short(two)} on rank {rank}")  # fmt: skip
@@ -145,7 +145,7 @@ class Halo:
         index, sizes = ghosts.astype(ranks.petsc.IntType), (n_own, self.n_all)
         self._vector = ranks.petsc.Vec().createGhost(index, sizes, comm=ranks.comm)
 
-    def filled(self, own: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def with_ghosts(self, own: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return values of all known states, with the ghosts' values received from their owners.
 
         Args:
@@ -162,7 +162,7 @@ class Halo:
         """Index in the whole model of each known state, [known states]."""
         return np.append(np.arange(self.first, self.end), self.ghosts)
 
-    def settled(self, sweep: Callable[[BoolArray], BoolArray], mask: BoolArray) -> BoolArray:
+    def fixed_point(self, sweep: Callable[[BoolArray], BoolArray], mask: BoolArray) -> BoolArray:
         """Repeat a search on each rank until no ghost's mark changes on any rank.
 
         Args:
@@ -170,14 +170,14 @@ class Halo:
             mask: the first mask, [known states].
         """
         while True:
-            found = self.filled(sweep(mask))
+            found = self.with_ghosts(sweep(mask))
             if not self.ranks.any(found[self.n_own :] != mask[self.n_own :]):
                 return found
             mask = found
 
     def reaching(self, graph: Graph, ends: BoolArray) -> BoolArray:
         """Return the states from which an end can be reached, [known states]."""
-        return self.settled(lambda mask: reaching_states(graph, mask), self.filled(ends))
+        return self.fixed_point(lambda mask: reaching_states(graph, mask), self.with_ghosts(ends))
 
     def staying(self, graph: Graph, usable: BoolArray, outside: BoolArray) -> BoolArray:
         """Return the greatest set of states in which a policy can stay for ever, [known states].
@@ -198,21 +198,21 @@ class Halo:
             drain(graph, pairs, counts, closed.nonzero()[0])
             return np.asarray(closed | (acting & (counts == 0)))
 
-        return ~self.settled(sweep, self.filled(outside))
+        return ~self.fixed_point(sweep, self.with_ghosts(outside))
 
-    def approaching(self, graph: Graph, leaving: BoolArray) -> IntArray:
+    def approaching(self, graph: Graph, target_pairs: BoolArray) -> IntArray:
         """Return a pair of each own state that may lead nearer to a leaving pair; -1: no such pair.
 
         Args:
             graph: the known states, and the pairs of the own states.
-            leaving: whether a pair leaves the process, [pairs].
+            target_pairs: whether a pair leaves the process, [pairs].
         """
         choice = np.full(graph.n_states, -1)
 
         def sweep(reached: BoolArray) -> BoolArray:
-            nearer = nearer_pairs(graph, leaving | pairs_into(graph, reached))
+            nearer = nearer_pairs(graph, target_pairs | pairs_into(graph, reached))
             choice[:] = np.where(choice < 0, nearer, choice)
             return reached | (choice >= 0)
 
-        self.settled(sweep, np.zeros(graph.n_states, dtype=np.bool_))
+        self.fixed_point(sweep, np.zeros(graph.n_states, dtype=np.bool_))
         return choice[: self.n_own].astype(np.int32)

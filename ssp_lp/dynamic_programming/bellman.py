@@ -54,7 +54,7 @@ class Backup:
 
     minima: FloatArray  # [states] infinite if a state has no pairs
     choice: IntArray  # [states] the first pair that attains the minimum
-    here: FloatArray  # [states] value of the held pair; empty if none was given
+    current_values: FloatArray  # [states] value of the held pair; empty if none was given
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def best_pairs(
     transitions: SparseRows,
     pair_cost: FloatArray | PairCost,
     values: FloatArray,
-    held: IntArray | None = None,
+    current: IntArray | None = None,
 ) -> Backup:
     """Minimise ``pair_cost + transitions @ values`` over the pairs of each state: a Bellman backup.
 
@@ -93,7 +93,7 @@ def best_pairs(
         transitions: [pairs, columns].
         pair_cost: [pairs].
         values: [columns].
-        held: one pair of each state, whose sum is returned as well, [states].
+        current: one pair of each state, whose sum is returned as well, [states].
     """
     check_time()
     cost = pair_cost if isinstance(pair_cost, PairCost) else PairCost(pair_cost)
@@ -103,12 +103,12 @@ def best_pairs(
         minima = segment_minima(ahead, pair_offsets)
         choice = np.array(pair_offsets[:-1], dtype=np.int32)
         choice[np.diff(pair_offsets) > 0] = first_minimisers(ahead, minima, pair_offsets)
-        return Backup(minima, choice, _NONE if held is None else ahead[held])
+        return Backup(minima, choice, _NONE if current is None else ahead[current])
     from ssp_lp.compiled import backups as compiled
 
     minima, choice = np.empty(n), np.empty(n, dtype=np.int32)
-    here = np.empty(0 if held is None else n)
-    own = _NOBODY if held is None else unsigned(held)
+    here = np.empty(0 if current is None else n)
+    own = _NOBODY if current is None else unsigned(current)
     compiled.back_up(len(transitions.indices))(
         unsigned(pair_offsets), *row_parts(transitions), *cost.parts, values, own,
         minima, choice.view(np.uint32), here,
@@ -122,7 +122,7 @@ def safe_minima(
     transitions: SparseRows,
     pair_cost: PairCost,
     magnitude: FloatArray,
-    alone: FloatArray,
+    largest_term: FloatArray,
     values: FloatArray,
     position: IntArray | None = None,
 ) -> FloatArray:
@@ -133,8 +133,8 @@ def safe_minima(
         transitions: [pairs, columns].
         pair_cost: costs, positive or negative.
         magnitude: sum of the absolute values of the fixed cost's terms, [pairs].
-        alone: greatest absolute value of one of these terms, [pairs]. A sum whose other terms are
-            all 0 is not rounded.
+        largest_term: greatest absolute value of one of these terms, [pairs]. A sum whose other
+            terms are all 0 is not rounded.
         values: [columns].
         position: written, by compiled loops only: position of the first best pair among the pairs
             of its state, [states].
@@ -147,15 +147,15 @@ def safe_minima(
         growth = 0.0 if pair_cost.slope is None else pair_cost.factor * pair_cost.slope
         size = (magnitude + growth) + transitions @ np.abs(values)
         ahead = (pair_cost.fixed + growth) + transitions @ values
-        ahead = np.where(size == alone, ahead, ahead - backup_rounding(transitions) * size)
+        ahead = np.where(size == largest_term, ahead, ahead - backup_rounding(transitions) * size)
         return segment_minima(ahead, pair_offsets)
     from ssp_lp.compiled import backups as compiled
 
     minima = np.empty(len(pair_offsets) - 1)
     fixed, slope, factor = pair_cost.parts
     compiled.back_up_safely(len(transitions.indices))(
-        unsigned(pair_offsets), *row_parts(transitions), fixed, magnitude, slope, factor, alone,
-        MACHINE_EPSILON, values, minima, _NOBODY if position is None else position,
+        unsigned(pair_offsets), *row_parts(transitions), fixed, magnitude, slope, factor,
+        largest_term, MACHINE_EPSILON, values, minima, _NOBODY if position is None else position,
     )  # fmt: skip
     return minima
 
@@ -217,7 +217,7 @@ class SharedRows:
     """A sparse matrix in which several rows may share one stored list of values."""
 
     indptr: IntArray  # [rows + 1] position of each row's first column
-    begins: IntArray  # [rows] position of its first number
+    starts: IntArray  # [rows] position of its first number
     indices: IntArray  # [entries] columns
     data: FloatArray  # the numbers, fewer than entries
     shape: tuple[int, int]
@@ -229,7 +229,7 @@ class SharedRows:
 
     def written_out(self) -> sp.csr_array:
         """Return the matrix in scipy's form, with the value of each entry stored separately."""
-        data = self.data[concatenated_ranges(self.begins, np.diff(self.indptr))]
+        data = self.data[concatenated_ranges(self.starts, np.diff(self.indptr))]
         return csr_of(data, self.indices, self.indptr, self.shape)
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
@@ -251,7 +251,7 @@ def row_parts(rows: SparseRows) -> tuple[IntArray, IntArray, IntArray, FloatArra
     These are the arrays of :class:`SharedRows`, with unsigned integers for compiled loops.
     """
     indptr = unsigned(rows.indptr)
-    begins = unsigned(rows.begins) if isinstance(rows, SharedRows) else indptr[:-1]
+    begins = unsigned(rows.starts) if isinstance(rows, SharedRows) else indptr[:-1]
     return indptr, begins, unsigned(rows.indices), rows.data
 
 
@@ -269,7 +269,7 @@ class Moves(NamedTuple):
     its state.
     """
 
-    home: IntArray  # [pairs] state of each pair
+    owner: IntArray  # [pairs] state of each pair
     transitions: sp.csr_array  # [pairs, states]
     exits: FloatArray  # [pairs] probability of leaving for good
 

@@ -65,7 +65,7 @@ _KRYLOV = "equations.bicgstab", "equations._square_in_sweep"
 
 
 class LargeComponent:
-    """Equations ``y = right + own @ y`` of one component.
+    """Equations ``y = rhs + own @ y`` of one component.
 
     Each equation is divided by the probability of departing from its state, so that ``own`` has no
     self-loops.
@@ -131,10 +131,10 @@ class LargeComponent:
         Raises:
             SolverError: no method converges.
         """
-        right, y, before = self._right(rewards, x), x[self._states], self._iteration.products
-        if self._direct is None and not self._iteration.solve(right, y, accuracy):
+        rhs, y, before = self._rhs(rewards, x), x[self._states], self._iteration.products
+        if self._direct is None and not self._iteration.solve(rhs, y, accuracy):
             self._direct = self._direct_solver()
-        x[self._states] = y if self._direct is None else self._direct(right)
+        x[self._states] = y if self._direct is None else self._direct(rhs)
         return max(self._iteration.products - before, 1)
 
     def reduce(self, rewards: FloatArray, x: FloatArray) -> None:
@@ -155,8 +155,8 @@ class LargeComponent:
                 "a policy leaves the process too rarely to compute its totals in double "
                 f"precision: {hint}"
             )
-        exits, right = self._leaving / self._departs, self._right(rewards, x)
-        x[self._states] = band_solver(self._own, exits, order, width)(right)
+        exits, rhs = self._leaving / self._departs, self._rhs(rewards, x)
+        x[self._states] = band_solver(self._own, exits, order, width)(rhs)
 
     @property
     def _arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -164,21 +164,21 @@ class LargeComponent:
         return unsigned(self._chain.indptr), unsigned(self._chain.indices), self._chain.data
 
     @with_twin
-    def _right(self, rewards: FloatArray, x: FloatArray) -> FloatArray:
+    def _rhs(self, rewards: FloatArray, x: FloatArray) -> FloatArray:
         """Compute the right side from rewards and totals outside the component.
 
         [members, rewards]; divided by the probabilities of departing.
         """
-        if not accelerated(self._own.nnz, "equations.from_beyond"):
+        if not accelerated(self._own.nnz, "equations.gather_outside"):
             outside = np.where((self._place < 0)[:, None], x, 0.0)
             beyond = rewards[self._states] + self._chain[self._states] @ outside
             return np.asarray(beyond / self._departs[:, None])
-        from ssp_lp.compiled.equations import from_beyond
+        from ssp_lp.compiled.equations import gather_outside
 
-        right = np.empty((len(self._states), rewards.shape[1]))
-        run, states = from_beyond(self._own.nnz), unsigned(self._states)
-        run(*self._arrays, states, self._place, self._departs, rewards, x, right)
-        return right
+        rhs = np.empty((len(self._states), rewards.shape[1]))
+        run, states = gather_outside(self._own.nnz), unsigned(self._states)
+        run(*self._arrays, states, self._place, self._departs, rewards, x, rhs)
+        return rhs
 
     @with_twin
     def _direct_solver(self) -> Solver:
@@ -194,7 +194,7 @@ class LargeComponent:
 
 
 class Iteration:
-    """An iterative solution of equations ``y = right + own @ y``."""
+    """An iterative solution of equations ``y = rhs + own @ y``."""
 
     def __init__(self, own: sp.csr_array, direct_work: Callable[[], float]) -> None:
         """Set up the iteration for a chain's totals, or for the visits of its states.
@@ -214,27 +214,27 @@ class Iteration:
         most = work / (_ENTRY * max(self.own.nnz, 1)) if work > _LITTLE_WORK else 0.0
         return max(int(most) - self.products, 0)
 
-    def solve(self, right: FloatArray, y: FloatArray, accuracy: float) -> bool:
+    def solve(self, rhs: FloatArray, y: FloatArray, accuracy: float) -> bool:
         """Solve in place by sweeps or BiCGStab; return false if a direct solution is faster.
 
         Args:
-            right: [members, rewards].
+            rhs: [members, rewards].
             y: a guess, [members, rewards].
             accuracy: relative residual.
 
         Raises:
             SolverError: the totals overflow.
         """
-        if self._swept(right, y, accuracy):
+        if self._swept(rhs, y, accuracy):
             return True
-        missed = right + self.own @ y - y
-        poor = np.greater(*(np.abs(x.T, order="C").max(axis=1) for x in (missed, right)))
+        missed = rhs + self.own @ y - y
+        poor = np.greater(*(np.abs(x.T, order="C").max(axis=1) for x in (missed, rhs)))
         if poor.any():  # the residual of 0 is smaller than the guess's
             y[:, poor] = 0.0
-            if self._swept(right, y, accuracy):
+            if self._swept(rhs, y, accuracy):
                 return True
-        expected = right.shape[1] * self.dearest
-        return expected <= self._passes_left and self._by_krylov(right, y, accuracy)
+        expected = rhs.shape[1] * self.dearest
+        return expected <= self._passes_left and self._by_krylov(rhs, y, accuracy)
 
     @cached_property
     def _own_arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -242,11 +242,11 @@ class Iteration:
         return unsigned(self.own.indptr), unsigned(self.own.indices), self.own.data
 
     @with_twin
-    def sweep(self, right: FloatArray, y: FloatArray) -> tuple[float, float]:
+    def sweep(self, rhs: FloatArray, y: FloatArray) -> tuple[float, float]:
         """Sweep once, in place; return the greatest change and the greatest absolute value.
 
         Args:
-            right: [members, rewards].
+            rhs: [members, rewards].
             y: [members, rewards].
         """
         check_time()
@@ -254,27 +254,27 @@ class Iteration:
         if accelerated(self.own.nnz, "equations.sweep"):
             from ssp_lp.compiled.equations import sweep
 
-            swept: tuple[float, float] = sweep(*self._own_arrays, right, y)
+            swept: tuple[float, float] = sweep(*self._own_arrays, rhs, y)
             return swept
-        ahead = right + self.own @ y
+        ahead = rhs + self.own @ y
         change = float(np.abs(ahead - y).max(initial=0.0))
         y[:] = ahead
         return change, float(np.abs(ahead).max(initial=0.0))
 
-    def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
+    def _swept(self, rhs: FloatArray, y: FloatArray, target: float) -> bool:
         """Sweep in place while the changes shrink fast; return whether the target is met.
 
         Args:
-            right: [members, rewards].
+            rhs: [members, rewards].
             y: [members, rewards].
             target: a relative change that is small enough.
 
         Raises:
             SolverError: the totals overflow.
         """
-        changes, most = list[float](), float(np.abs(right).max(initial=0.0))
+        changes, most = list[float](), float(np.abs(rhs).max(initial=0.0))
         while len(changes) <= _MOST_SWEEPS:
-            change, size = self.sweep(right, y)
+            change, size = self.sweep(rhs, y)
             relative = change / (size + most) if size + most > 0 else 0.0
             if relative <= target:
                 return True
@@ -286,11 +286,11 @@ class Iteration:
             changes.append(relative)
         return False
 
-    def _by_krylov(self, right: FloatArray, y: FloatArray, target: float) -> bool:
+    def _by_krylov(self, rhs: FloatArray, y: FloatArray, target: float) -> bool:
         """Solve for each reward by BiCGStab, in place; return whether all met the target."""
-        for j in range(right.shape[1]):
+        for j in range(rhs.shape[1]):
             before = self.products
-            column, wanted = np.ascontiguousarray(y[:, j]), np.ascontiguousarray(right[:, j])
+            column, wanted = np.ascontiguousarray(y[:, j]), np.ascontiguousarray(rhs[:, j])
             reached = self._krylov(wanted, column, target)
             self.dearest = max(self.dearest, self.products - before)
             if not reached <= max(target, _LEAST_RESIDUAL):
@@ -298,7 +298,7 @@ class Iteration:
             y[:, j] = column
         return True
 
-    def _krylov(self, right: FloatArray, y: FloatArray, target: float) -> float:
+    def _krylov(self, rhs: FloatArray, y: FloatArray, target: float) -> float:
         """Solve for one reward by BiCGStab, in place.
 
         Returns:
@@ -307,15 +307,15 @@ class Iteration:
         kept, before = y.copy(), np.inf
         for attempt in range(_RESTARTS + 1):
             swept = y.copy()
-            self.sweep(right[:, None], swept[:, None])
+            self.sweep(rhs[:, None], swept[:, None])
             residual = swept - y
             change = float(np.abs(residual).max())
-            scale = float(np.abs(y).max()) + float(np.abs(right).max())
+            scale = float(np.abs(y).max()) + float(np.abs(rhs).max())
             relative = change / scale if scale > 0.0 else 0.0
             if not relative < before:  # it broke down: sweep from the last iterate
                 y[:] = kept
                 for _ in range(_SWEEPS_BETWEEN):
-                    self.sweep(right[:, None], y[:, None])
+                    self.sweep(rhs[:, None], y[:, None])
                 before = np.inf
                 continue
             if relative <= target or attempt == _RESTARTS or self._passes_left == 0:
@@ -365,10 +365,10 @@ def dense_solver(matrix: sp.csr_array, exits: FloatArray) -> Solver:
     """
     system = -matrix.toarray()
     np.fill_diagonal(system, 0.0)
-    departs = exits - system.sum(axis=1)
-    if (departs <= 0.0).any():
+    escape = exits - system.sum(axis=1)
+    if (escape <= 0.0).any():
         raise SolverError(HOLDS_MASS)
-    np.fill_diagonal(system, departs)
+    np.fill_diagonal(system, escape)
 
     def solve(rewards: FloatArray) -> FloatArray:
         """Return the totals of rewards, refined once."""
@@ -401,9 +401,9 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
     system = equations(matrix, exits, order)
     factors = factorised(system, in_order=order is not None)
 
-    def solve(right: FloatArray) -> FloatArray:
-        """Return the totals for a right side, in the shape of ``right``, refined once."""
-        ordered = right if order is None else right[order]
+    def solve(rhs: FloatArray) -> FloatArray:
+        """Return the totals for a right side, in the shape of ``rhs``, refined once."""
+        ordered = rhs if order is None else rhs[order]
         solution = factors.solve(ordered)
         solution = solution + factors.solve(ordered - system @ solution)
         return _solved_in_place(solution, order)
@@ -434,9 +434,9 @@ def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width:
     if not eliminate_states(*band, exits[order], size):
         raise SolverError(HOLDS_MASS)
 
-    def solve(right: FloatArray) -> FloatArray:
-        """Return the totals for a right side, in the shape of ``right``."""
-        ordered = right[order]
+    def solve(rhs: FloatArray) -> FloatArray:
+        """Return the totals for a right side, in the shape of ``rhs``."""
+        ordered = rhs[order]
         solve_eliminated(*band, ordered, size)
         return _solved_in_place(ordered, order)
 
@@ -454,7 +454,7 @@ def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
 
 @with_twin
 def on_departing(
-    chain: sp.csr_array, exits: FloatArray, states: IntArray, place: IntArray
+    chain: sp.csr_array, exits: FloatArray, states: IntArray, position: IntArray
 ) -> tuple[sp.csr_array, FloatArray, FloatArray]:
     """Return a component's moves, divided by the probability of departing from the state.
 
@@ -462,7 +462,7 @@ def on_departing(
         chain: transitions of the whole chain, [states, states].
         exits: exits of the whole chain, [states].
         states: the members, in the order in which they are swept, [members].
-        place: position of each state among the members; -1 elsewhere, [states].
+        position: position of each state among the members; -1 elsewhere, [states].
 
     Returns:
         The divided moves, without self-loops, [members, members]; the probability of departing,
@@ -474,26 +474,26 @@ def on_departing(
     size = len(states)
     if not accelerated(chain.nnz, "equations.gather_inside"):
         rows = chain[states]
-        leaving = exits[states] + rows @ (place < 0).astype(np.float64)
+        leaving = exits[states] + rows @ (position < 0).astype(np.float64)
         entry = rows.tocoo()
-        kept = place[entry.col] >= 0
-        parts = entry.data[kept], (entry.row[kept], place[entry.col[kept]])
-        row, column, data, departs = departures(sp.csr_array(parts, shape=(size, size)), leaving)
-        shared = sp.csr_array((data / departs[row], (row, column)), shape=(size, size))
-        return shared, departs, leaving
+        kept = position[entry.col] >= 0
+        parts = entry.data[kept], (entry.row[kept], position[entry.col[kept]])
+        row, column, data, escape = departures(sp.csr_array(parts, shape=(size, size)), leaving)
+        shared = sp.csr_array((data / escape[row], (row, column)), shape=(size, size))
+        return shared, escape, leaving
     from ssp_lp.compiled.equations import gather_inside
 
     members, begin = unsigned(states), chain.indptr
     indptr = offsets_of(np.diff(begin)[states]).astype(np.int32)
     indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1])
-    departs, leaving = np.empty(size), np.empty(size)
+    escape, leaving = np.empty(size), np.empty(size)
     for some in pieces(size, len(indices)):
         gather_inside(len(indices))(
-            unsigned(begin), unsigned(chain.indices), chain.data, exits, members[some], place,
+            unsigned(begin), unsigned(chain.indices), chain.data, exits, members[some], position,
             unsigned(indptr)[some.start : some.stop + 1], unsigned(indices), data,
-            departs[some], leaving[some],
+            escape[some], leaving[some],
         )  # fmt: skip
-    return sp.csr_array((data, indices, indptr), shape=(size, size)), departs, leaving
+    return sp.csr_array((data, indices, indptr), shape=(size, size)), escape, leaving
 
 
 def departures(
@@ -516,10 +516,10 @@ def departures(
     entry = matrix.tocoo()
     away = (entry.row != entry.col) & (entry.data > 0.0)
     row, column, data = entry.row[away], entry.col[away], entry.data[away]
-    departs = exits + np.bincount(row, weights=data, minlength=len(exits))
-    if (departs <= 0.0).any():
+    escape = exits + np.bincount(row, weights=data, minlength=len(exits))
+    if (escape <= 0.0).any():
         raise SolverError(HOLDS_MASS)
-    return row, column, data, departs
+    return row, column, data, escape
 
 
 def equations(
@@ -535,7 +535,7 @@ def equations(
     Raises:
         SolverError: some state is never departed from.
     """
-    n, (row, column, data, departs) = len(exits), departures(matrix, exits)
+    n, (row, column, data, escape) = len(exits), departures(matrix, exits)
     place = np.arange(n)
     if order is not None:
         place = np.empty(n, dtype=np.int64)
@@ -543,7 +543,7 @@ def equations(
     row, column = place[row], place[column]
     return sp.csc_array(
         (
-            np.concatenate([departs, -data]),
+            np.concatenate([escape, -data]),
             (np.concatenate([place, row]), np.concatenate([place, column])),
         ),
         shape=(n, n),
@@ -573,7 +573,7 @@ def factorised(system: sp.csc_array, *, in_order: bool = False) -> sp.linalg.Sup
         raise SolverError(HOLDS_MASS) from error
 
 
-def reduction_solver(inner: FloatArray, leaving: FloatArray) -> Solver:
+def reduction_solver(dense: FloatArray, outflow: FloatArray) -> Solver:
     """Build a direct solver by state reduction, with a small relative error in every entry.
 
     A state is eliminated by redirecting its inflow to its successors (Grassmann, Taksar and Heyman
@@ -581,30 +581,30 @@ def reduction_solver(inner: FloatArray, leaving: FloatArray) -> Solver:
     blocks, whose effect on all other states is one product of matrices.
 
     Args:
-        inner: probabilities among the states, [states, states]; overwritten.
-        leaving: probabilities of leaving for good, [states]; overwritten.
+        dense: probabilities among the states, [states, states]; overwritten.
+        outflow: probabilities of leaving for good, [states]; overwritten.
 
     Raises:
         SolverError: some states are never left.
     """
-    departs = np.empty_like(leaving)
-    for end in range(len(leaving), 0, -_BLOCK):
+    escape = np.empty_like(outflow)
+    for end in range(len(outflow), 0, -_BLOCK):
         begin = max(end - _BLOCK, 0)
         for i in range(end - 1, begin - 1, -1):
-            departs[i] = leaving[i] + inner[i, :i].sum()
-            if departs[i] <= 0.0:
+            escape[i] = outflow[i] + dense[i, :i].sum()
+            if escape[i] <= 0.0:
                 raise SolverError(HOLDS_MASS)
-            inner[i, :i] /= departs[i]
-            leaving[i] /= departs[i]
-            weight = inner[begin:i, i]
-            inner[begin:i, :i] += np.outer(weight, inner[i, :i])
-            leaving[begin:i] += weight * leaving[i]
-            inner[:begin, begin:i] += np.outer(inner[:begin, i], inner[i, begin:i])
-        into = inner[:begin, begin:end]
-        inner[:begin, :begin] += into @ inner[begin:end, :begin]
-        leaving[:begin] += into @ leaving[begin:end]
-    factors = np.negative(inner, out=inner)
-    np.fill_diagonal(factors, departs)
+            dense[i, :i] /= escape[i]
+            outflow[i] /= escape[i]
+            weight = dense[begin:i, i]
+            dense[begin:i, :i] += np.outer(weight, dense[i, :i])
+            outflow[begin:i] += weight * outflow[i]
+            dense[:begin, begin:i] += np.outer(dense[:begin, i], dense[i, begin:i])
+        into = dense[:begin, begin:end]
+        dense[:begin, :begin] += into @ dense[begin:end, :begin]
+        outflow[:begin] += into @ outflow[begin:end]
+    factors = np.negative(dense, out=dense)
+    np.fill_diagonal(factors, escape)
 
     def solve(rewards: FloatArray) -> FloatArray:
         """Return the totals of rewards; all terms have one sign, so that no digits cancel."""

@@ -303,37 +303,37 @@ def raised(
     pair_cost: FloatArray,
     lowered: FloatArray,
     values: FloatArray,
-    asked: IntArray,
-    enough: float,
+    focus: IntArray,
+    tolerated_loss: float,
 ) -> tuple[FloatArray, float]:
     """Raise a sub-solution, made by lowering values, by backups that are rounded down.
 
     The result is a sub-solution, too. The loss of a state is its original value minus its raised
-    value. Sweeps end if the loss at all states ``asked`` is small enough, or falls too slowly.
+    value. Sweeps end if the loss at all states ``focus`` is small enough, or falls too slowly.
 
     Args:
         dynamics: the process.
         pair_cost: [pairs].
         lowered: a checked sub-solution, [states].
         values: the original values, before they were lowered, [states].
-        asked: states at which the loss must be small.
-        enough: loss that is small enough.
+        focus: states at which the loss must be small.
+        tolerated_loss: loss that is small enough.
 
     Returns:
-        The sub-solution, and the greatest loss at the states ``asked``.
+        The sub-solution, and the greatest loss at the states ``focus``.
     """
     lost, size = values - lowered, np.abs(pair_cost)
     offsets, rows, cost = dynamics.pair_offsets, dynamics.transitions, PairCost(pair_cost)
     never, sweeps = np.full(len(size), -1.0), 0
     slow = _RAISED if dynamics.n_states > DIRECT_STATES else _RAISED_OF_FEW
-    while lost[asked].max(initial=0.0) > enough and sweeps < _MOST_RAISING:
+    while lost[focus].max(initial=0.0) > tolerated_loss and sweeps < _MOST_RAISING:
         for _ in range(_RAISING):
             lowered = np.maximum(lowered, safe_minima(offsets, rows, cost, size, never, lowered))
         before, lost = lost, values - lowered
         sweeps += _RAISING
-        if lost.max() > slow * before.max() and lost[asked].max() > slow * before[asked].max():
+        if lost.max() > slow * before.max() and lost[focus].max() > slow * before[focus].max():
             break
-    return lowered, float(lost[asked].max(initial=0.0))
+    return lowered, float(lost[focus].max(initial=0.0))
 
 
 def _longest_run(
@@ -366,7 +366,7 @@ def _longest_run(
         if not (run >= 0.0).all():
             return None
         worst = best_pairs(pair_offsets, transitions, spare, -run, choice)
-        changed = worst.minima < worst.here - 0.1 * reward
+        changed = worst.minima < worst.current_values - 0.1 * reward
         if not changed.any() and np.array_equal(met, run > 0):
             return run
         met = run > 0

@@ -209,15 +209,15 @@ class Dynamics:
             kept[key] = chain
         return chain
 
-    def restricted(self, kept: IntArray) -> Dynamics:
+    def restricted(self, pairs: IntArray) -> Dynamics:
         """Return the dynamics with only some pairs, ascending, at least one for each state."""
-        if len(kept) == len(self.exits):
+        if len(pairs) == len(self.exits):
             return self  # keeps the equations solved so far
-        counts = np.bincount(self.pair_state[kept], minlength=self.n_states)
+        counts = np.bincount(self.pair_state[pairs], minlength=self.n_states)
         return Dynamics(
             pair_offsets=offsets_of(counts).astype(self.pair_offsets.dtype),
-            transitions=sp.csr_array(self.transitions[kept]),
-            exits=self.exits[kept],
+            transitions=sp.csr_array(self.transitions[pairs]),
+            exits=self.exits[pairs],
         )
 
     @cached_property
@@ -241,8 +241,8 @@ def _levels_of_dynamics(dynamics: Dynamics) -> Iterator[Level]:
         counts = dynamics.pair_offsets[states + 1] - begin
         pairs = concatenated_ranges(begin, counts)
         rows = sp.csr_array(moving[pairs])
-        departs = dynamics.exits[pairs] + np.asarray(rows.sum(axis=1)).ravel()
-        yield states, pairs, offsets_of(counts), rows, departs
+        escape = dynamics.exits[pairs] + np.asarray(rows.sum(axis=1)).ravel()
+        yield states, pairs, offsets_of(counts), rows, escape
         first = before.indptr[states]
         entering = before.indices[concatenated_ranges(first, before.indptr[states + 1] - first)]
         owners = home[entering]
@@ -251,7 +251,7 @@ def _levels_of_dynamics(dynamics: Dynamics) -> Iterator[Level]:
 
 
 def without_self_loops(
-    rows: sp.csr_array, home: IntArray, leak: FloatArray
+    rows: sp.csr_array, owner: IntArray, leak: FloatArray
 ) -> tuple[sp.csr_array, FloatArray]:
     """Remove self-loops by conditioning each row on departing from its state.
 
@@ -260,7 +260,7 @@ def without_self_loops(
 
     Args:
         rows: [rows, states], without duplicates.
-        home: the state that each row belongs to, [rows].
+        owner: the state that each row belongs to, [rows].
         leak: mass of each row that leaves ``rows``, [rows].
 
     Returns:
@@ -268,15 +268,15 @@ def without_self_loops(
         probability, [rows]. A row that never departs is returned unchanged, with probability 1.
     """
     entry = rows.tocoo()
-    away = entry.col != home[entry.row]
-    departs = leak + np.bincount(entry.row[away], weights=entry.data[away], minlength=rows.shape[0])
-    kept = away | (departs[entry.row] == 0)
-    departs = np.where(departs == 0, 1.0, departs)
+    away = entry.col != owner[entry.row]
+    escape = leak + np.bincount(entry.row[away], weights=entry.data[away], minlength=rows.shape[0])
+    kept = away | (escape[entry.row] == 0)
+    escape = np.where(escape == 0, 1.0, escape)
     loops = np.zeros(rows.shape[0], dtype=np.bool_)
     loops[entry.row[~away]] = True
-    departs = np.where(loops, departs, 1.0)  # rows without a self-loop depart for sure
-    scaled = entry.data[kept] / departs[entry.row[kept]]
-    return sp.csr_array((scaled, (entry.row[kept], entry.col[kept])), shape=rows.shape), departs
+    escape = np.where(loops, escape, 1.0)  # rows without a self-loop depart for sure
+    scaled = entry.data[kept] / escape[entry.row[kept]]
+    return sp.csr_array((scaled, (entry.row[kept], entry.col[kept])), shape=rows.shape), escape
 
 
 def leaving_choice(

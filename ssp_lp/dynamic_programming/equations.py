@@ -191,10 +191,10 @@ class System:
             return inflow.copy()
         visits = np.empty_like(inflow)
         if self.components.largest > EXACTLY_SOLVED:
-            departs, order, iteration = self._transposed_iteration
+            escape, order, iteration = self._transposed_iteration
             found = np.zeros((self.size, 1))
             if iteration.solve(inflow[order, None], found, EXACT):
-                visits[order] = found[:, 0] / departs[order]
+                visits[order] = found[:, 0] / escape[order]
                 return visits
         order, factors = self._transposed_factors
         visits[order] = factors.solve(inflow[order], "T")  # type: ignore[call-overload]
@@ -204,7 +204,7 @@ class System:
     def _transposed_factors(self) -> tuple[IntArray, sp.linalg.SuperLU]:
         """Order of the states, and sparse factors for the transposed equations."""
         if self.components.largest > EXACTLY_SOLVED:
-            return self.moves.home, factorised(equations(self.matrix, self.exits))
+            return self.moves.owner, factorised(equations(self.matrix, self.exits))
         order = self.components.order
         return order, factorised(equations(self.matrix, self.exits, order), in_order=True)
 
@@ -215,11 +215,11 @@ class System:
         The unknowns of the iteration are the expected numbers of departures from the states, in
         this order.
         """
-        strong, (row, column, data, departs) = self.components, departures(self.matrix, self.exits)
+        strong, (row, column, data, escape) = self.components, departures(self.matrix, self.exits)
         order, place = strong.order[::-1], np.empty(self.size, dtype=np.int32)
         place[order] = np.arange(self.size)
         to_from = place[column], place[row]
-        own = sp.csr_array((data / departs[row], to_from), shape=self.matrix.shape)
+        own = sp.csr_array((data / escape[row], to_from), shape=self.matrix.shape)
         large = (strong.sizes > EXACTLY_SOLVED).nonzero()[0].tolist()
 
         weak = proxy(self)  # a reference cycle would keep large arrays until garbage collection
@@ -228,7 +228,7 @@ class System:
             """Return the work of direct solutions of all large components."""
             return float(sum(weak._block(c).direct_work for c in large))
 
-        return departs, order, Iteration(own, direct_work)
+        return escape, order, Iteration(own, direct_work)
 
     @cached_property
     def _runs(self) -> list[tuple[int, int]]:
@@ -285,7 +285,7 @@ class System:
         strong, rows = self.components, self.matrix
         stuck = solve_by_elimination(
             unsigned(rows.indptr), unsigned(rows.indices), rows.data, self.exits,
-            unsigned(self.moves.home),
+            unsigned(self.moves.owner),
             unsigned(strong.order), strong.offsets, first, last,
             int(strong.sizes[first:last].max(initial=1)), rewards, x,
         )  # fmt: skip

@@ -56,18 +56,18 @@ class Totals:
     values: FloatArray  # [states, rewards]
     low: FloatArray  # [states, rewards] rounding errors of the values
     runs: FloatArray  # [states] checked: twice this is at least the expected number of steps
-    missed: FloatArray  # [rewards] greatest residual of the equations
+    residuals: FloatArray  # [rewards] greatest residual of the equations
 
     @property
     def error(self) -> FloatArray:
         """Bound of the error of each evaluated total, [states, rewards]."""
-        return 2.0 * np.outer(self.runs, self.missed)
+        return 2.0 * np.outer(self.runs, self.residuals)
 
     def are_within(self, accuracy: float) -> bool:
         """Return whether all errors are small relative to the greatest total of their reward."""
         longest = float(self.runs.max(initial=0.0))
         scale = _sizes_of_totals(self.values)
-        return bool((2.0 * longest * self.missed <= accuracy * scale).all())
+        return bool((2.0 * longest * self.residuals <= accuracy * scale).all())
 
 
 @with_twin

@@ -76,7 +76,7 @@ def extreme_reach(
     *,
     greatest: bool,
     start: FloatArray | None = None,
-    last_digits: bool = True,
+    precise: bool = True,
 ) -> ExtremeReach:
     """Compute the greatest or least probability of leaving by the exit ``hit``, from every state.
 
@@ -88,7 +88,7 @@ def extreme_reach(
         miss: probability of leaving it by the other exit, [pairs].
         greatest: whether to maximise; else the probability is minimised.
         start: positive in the states in which the bound must be tight, [states]; None: all.
-        last_digits: whether all pairs that attain the extreme are needed. If not, sweeps may
+        precise: whether all pairs that attain the extreme are needed. If not, sweeps may
             enclose the greatest probability between two bounds, and if the time ends, the best
             policy found so far is returned.
 
@@ -97,21 +97,21 @@ def extreme_reach(
     """
     # maximise the wanted exit, that is minimise the other: each is exact if it is small
     both = np.stack([hit, miss] if greatest else [miss, hit], axis=1)
-    last_digits = last_digits or not greatest
+    precise = precise or not greatest
     floor = 0.0 if dynamics.components.largest <= EXACTLY_SOLVED else FAILURE_FLOOR
     starts = (np.ones(dynamics.n_states) if start is None else start).nonzero()[0]
     choice, low, high = _swept_towards(
         dynamics,
         np.ascontiguousarray(both[:, 0]),
         starts,
-        last_digits or dynamics.n_states <= DIRECT_STATES,
+        precise or dynamics.n_states <= DIRECT_STATES,
     )
     if high is None:
         high = np.ones_like(low)
         try:
-            return _settled_reach(dynamics, both, choice, floor, greatest, start, last_digits)
+            return _settled_reach(dynamics, both, choice, floor, greatest, start, precise)
         except STOPS as stop:
-            if last_digits:
+            if precise:
                 raise
             end_with_incumbent(stop)
         if not low[starts].all():
@@ -127,15 +127,15 @@ def _settled_reach(
     floor: float,
     greatest: bool,
     start: FloatArray | None,
-    last_digits: bool,
+    precise: bool,
 ) -> ExtremeReach:
     """Compute the greatest or least probability by policy iteration, with a checked bound."""
     wanted, other = (np.ascontiguousarray(column) for column in both.T)
     run = partial(
-        iterate_policy, dynamics, both, _OTHER, floor=floor * (_SOUGHT if last_digits else 1.0)
+        iterate_policy, dynamics, both, _OTHER, floor=floor * (_SOUGHT if precise else 1.0)
     )
     few = dynamics.n_states <= DIRECT_STATES
-    enough = None if few or last_digits else False
+    enough = None if few or precise else False
     settled = run(choice, precise=enough)
     if settled.totals[:, 0].min(initial=1.0) < _SMALL:  # too small to be computed from the other
         choice = iterate_policy(dynamics, wanted[:, None], -_ONE, settled.choice).choice
@@ -145,7 +145,7 @@ def _settled_reach(
     bounded = partial(dual_bound, dynamics, other, start=start, least_loss=PROVED)
     least = bounded(missed, choice=settled.choice).values
     unproved = float((missed - least)[starts].max(initial=0.0))
-    if unproved > (PROVED if few else np.inf if last_digits else PROVED_OF_MANY):
+    if unproved > (PROVED if few else np.inf if precise else PROVED_OF_MANY):
         settled = run(settled.choice, precise=True)  # a policy of longer runs may be better
         missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
         least = bounded(missed, choice=settled.choice).values
@@ -167,7 +167,7 @@ def _settled_reach(
 
 @with_twin
 def _swept_towards(
-    dynamics: Dynamics, wanted: FloatArray, asked: IntArray, last_digits: bool
+    dynamics: Dynamics, hit: FloatArray, focus: IntArray, precise: bool
 ) -> tuple[IntArray, FloatArray, FloatArray | None]:
     """Find a policy of nearly greatest probability of the wanted exit, by sweeps.
 
@@ -180,54 +180,54 @@ def _swept_towards(
 
     Args:
         dynamics: the process.
-        wanted: probability of leaving by the wanted exit, [pairs].
-        asked: states at which the optimum must be enclosed.
-        last_digits: whether policy iteration will follow, so that upper bounds are not needed.
+        hit: probability of leaving by the wanted exit, [pairs].
+        focus: states at which the optimum must be enclosed.
+        precise: whether policy iteration will follow, so that upper bounds are not needed.
 
     Returns:
         The policy, lower bounds of its values, and upper bounds of the optimum, [states] each. The
-        upper bounds are near at the states ``asked``; they are None if not proved.
+        upper bounds are near at the states ``focus``; they are None if not proved.
     """
     distance = np.zeros(dynamics.n_states, dtype=np.int32)
-    choice = nearer_pairs(dynamics.graph, wanted > 0.0, distance=distance)
+    choice = nearer_pairs(dynamics.graph, hit > 0.0, distance=distance)
     stuck, low = choice < 0, np.zeros(dynamics.n_states)
     if stuck.any():
         choice = np.where(stuck, nearer_pairs(dynamics.graph, dynamics.exits > 0.0), choice)
     choice = choice.astype(np.int32)
     loops = "policy_improvement.sweep_reach", "policy_improvement.follow_reach"
     is_compiled = accelerated(_SWEEPS * dynamics.transitions.nnz, *loops)
-    if (last_digits and not is_compiled) or dynamics.is_solved_backwards:
+    if (precise and not is_compiled) or dynamics.is_solved_backwards:
         return choice, low, None
     order = np.argsort(distance, kind="stable").astype(np.uint32)
     order = order[~stuck[order]]
     directions = cycle((order, np.ascontiguousarray(order[::-1])))
-    sweep = partial(_sweep, dynamics, wanted, directions, is_compiled, choice)
+    sweep = partial(_sweep, dynamics, hit, directions, is_compiled, choice)
     near, size, most, rate, next_attempt = 0.5 * PROVED, 0.0, 1.0, 1.0, 0
     try:
-        for turn in range(_SWEEPS if last_digits else _MOST_SWEEPS):
+        for turn in range(_SWEEPS if precise else _MOST_SWEEPS):
             begun, size_before, most_before, rate_before = low.copy(), size, most, rate
             rise = sweep(low)
-            step, size = low - begun, float(low[asked].min(initial=1.0))
+            step, size = low - begun, float(low[focus].min(initial=1.0))
             most = float(step.max(initial=0.0))
             rate = most / max(most_before, most, LEAST_RISE)
             # later rises are this share of the last one; at a low rate, all states converge
             slower = max(rate, rate_before)
-            if not last_digits and size > 0.0 and slower < _SLOWEST and turn >= next_attempt:
+            if not precise and size > 0.0 and slower < _SLOWEST and turn >= next_attempt:
                 ahead = step * (2.0 * slower / (1.0 - slower))
-                waiting = ahead[asked] if slower > _QUICK else ahead
+                waiting = ahead[focus] if slower > _QUICK else ahead
                 if float(waiting.max(initial=0.0)) <= near * size:
                     high, near = np.minimum(low + ahead + 0.5 * PROVED * size, 1.0), _NEARER * near
                     for ups in range(1, max(_WAITED * turn, _SWEEPS) + 1):
                         settled = sweep(high, up=True) <= 0.0
                         next_attempt = turn + 1 + ups // _WAITED  # at most half of the time
-                        if ((high - low)[asked] > PROVED * size).any():
+                        if ((high - low)[focus] > PROVED * size).any():
                             break
                         if settled:
                             return choice, low, high
             if rise == 0.0 or (turn > _SWEEPS and size >= 2.0 * size_before):
                 break  # converged, or far from it
     except STOPS as stop:
-        if last_digits or not low[asked].all():
+        if precise or not low[focus].all():
             raise
         end_with_incumbent(stop)
     return choice, low, None
@@ -235,7 +235,7 @@ def _swept_towards(
 
 def _sweep(
     dynamics: Dynamics,
-    wanted: FloatArray,
+    hit: FloatArray,
     directions: Iterator[IntArray],
     is_compiled: bool,
     choice: IntArray,
@@ -247,7 +247,7 @@ def _sweep(
 
     Args:
         dynamics: the process.
-        wanted: probability of leaving by the wanted exit, [pairs].
+        hit: probability of leaving by the wanted exit, [pairs].
         directions: orders of the states, alternately forward and backward.
         is_compiled: whether to run compiled; otherwise numpy sweeps all states at once.
         choice: pairs by which values rise, changed in place, [states].
@@ -258,7 +258,7 @@ def _sweep(
     if not is_compiled:
         slack = (int(np.diff(rows.indptr).max(initial=0)) + 5.0) * MACHINE_EPSILON
         for _ in range(1 if up else 1 + _FOLLOWED):
-            backup = best_pairs(dynamics.pair_offsets, rows, -wanted, -values)
+            backup = best_pairs(dynamics.pair_offsets, rows, -hit, -values)
             greatest = np.minimum(-(1.0 + slack if up else 1.0 - slack) * backup.minima[order], 1.0)
             rises = greatest - values[order]
             moved = rises != 0.0 if up else rises > LEAST_RISE
@@ -269,7 +269,7 @@ def _sweep(
         return rise
     from ssp_lp.compiled.policy_improvement import follow_reach, sweep_reach
 
-    how = wanted, MACHINE_EPSILON, up, choice.view(np.uint32), values
+    how = hit, MACHINE_EPSILON, up, choice.view(np.uint32), values
     for some in pieces(order.size, rows.nnz):
         rise = max(rise, sweep_reach(dynamics.rows, order[some], *how))
     if up or rise == 0.0:
@@ -278,7 +278,7 @@ def _sweep(
     if rows.nnz > MOST_CACHED:  # rows next to each other are read faster
         rows, own = chosen_rows(rows, pairs), np.arange(order.size)
     indptr, indices = unsigned(rows.indptr), unsigned(rows.indices)
-    parts = indptr[own], indptr[own + 1], indices, rows.data, order, wanted[pairs]
+    parts = indptr[own], indptr[own + 1], indices, rows.data, order, hit[pairs]
     for number in range(_FOLLOWED):
         check_time()
         follow_reach(*parts, MACHINE_EPSILON, number % 2 == 0, values)

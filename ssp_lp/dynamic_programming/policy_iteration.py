@@ -68,7 +68,7 @@ _RISEN = 10.0  # growth of the values that no improvement can cause
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class IterationResult:
     """A policy that no single change of a pair improves, with its expected totals."""
 
     choice: IntArray  # [states]
@@ -89,7 +89,7 @@ def iterate_policy(
     *,
     precise: bool | None = None,
     floor: float = 0.0,
-) -> Settled:
+) -> IterationResult:
     """Minimise the expected total of ``rewards @ weights`` from every state by policy iteration.
 
     A state changes its pair only for a gain above rounding. If the first policy's chain is
@@ -127,7 +127,7 @@ def iterate_policy(
             choice, values = improve_backwards(dynamics, pair_cost, choice)
             if dynamics.is_reused and not precise:  # the caller checks all layers together
                 nothing = np.zeros_like(values)
-                return Settled(choice, values[:, None], values, nothing, nothing, work)
+                return IterationResult(choice, values[:, None], values, nothing, nothing, work)
             offsets, transitions = dynamics.pair_offsets, dynamics.transitions
             left = greatest_gain(best_pairs(offsets, transitions, pair_cost, values, choice))
             totals = evaluate_policy(dynamics, choice, rewards)
@@ -146,7 +146,7 @@ def iterate_policy(
         precise = _gains_may_add_up(values, totals.runs, left)
     if precise:
         return improve_precisely(dynamics, rewards, weights, choice, work, floor)
-    return Settled(choice, totals.values, values, np.zeros_like(values), totals.runs, work)
+    return IterationResult(choice, totals.values, values, np.zeros_like(values), totals.runs, work)
 
 
 def _gains_may_add_up(values: FloatArray, runs: FloatArray, left: float) -> bool:
@@ -217,7 +217,7 @@ def howard_rounds(
 
 def greatest_gain(backup: Backup) -> float:
     """Return the greatest gain of a state by the best pair in place of the present one."""
-    return float((backup.here - backup.minima).max(initial=0.0))
+    return float((backup.current_values - backup.minima).max(initial=0.0))
 
 
 class _Evaluation:
@@ -285,10 +285,10 @@ class _Evaluation:
         """
         scale = max(float(np.abs(self.values).max(initial=0.0)), 1e-300)
         grown, self._scale = scale > _RISEN * self._scale, scale
-        noise = IMPROVEMENT * np.abs(backup.here) + self.floor
+        noise = IMPROVEMENT * np.abs(backup.current_values) + self.floor
         if self._is_iterated:
             noise = noise + max(_NOISE * self._accuracy, EXACT) * scale
-        better = np.asarray(backup.minima < backup.here - noise)
+        better = np.asarray(backup.minima < backup.current_values - noise)
         if not self._is_exact and (grown or not better.any()):
             self._accuracy, self._scale = EXACT, np.inf
             return None
@@ -329,10 +329,10 @@ def improve_backwards(
         if stuck >= 0:
             raise SolverError(HOLDS_MASS)
         return choice, values
-    for states, pairs, offsets, rows, departs in dynamics.levels:
+    for states, pairs, offsets, rows, escape in dynamics.levels:
         total = pair_cost[pairs] + rows @ values
         ahead = np.full_like(total, np.inf)
-        np.divide(total, departs, out=ahead, where=departs > 0.0)
+        np.divide(total, escape, out=ahead, where=escape > 0.0)
         values[states] = segment_minima(ahead, offsets)
         choice[states] = pairs[first_minimisers(ahead, values[states], offsets)]
     return choice, values
@@ -345,7 +345,7 @@ def improve_precisely(
     choice: IntArray,
     work: Work,
     floor: float = 0.0,
-) -> Settled:
+) -> IterationResult:
     """Run policy iteration in twice the working precision.
 
     Args:
@@ -371,7 +371,7 @@ def improve_precisely(
         if not np.isfinite(values).all():
             raise SolverError("expected costs are above 1e308: use a larger unit of cost")
         ahead, rounding = dynamics.moves.precise_advantages(pair_cost, values, low)
-        gain = -segment_minima(ahead + rounding, offsets) - 2.0 * float(priced.missed[0])
+        gain = -segment_minima(ahead + rounding, offsets) - 2.0 * float(priced.residuals[0])
         work = work + Work(1, system.products)
         most = float(gain.max(initial=0.0))
         worth = 2.0 * float(priced.runs.max(initial=0.0)) * most
@@ -380,7 +380,7 @@ def improve_precisely(
         last = most
         if ended or most <= 0.0:
             totals = evaluate_chain(system, rewards[choice])
-            return Settled(choice, totals.values, values, low, totals.runs, work)
+            return IterationResult(choice, totals.values, values, low, totals.runs, work)
         before, picks = choice, choice.copy()
         best = first_minimisers(ahead, segment_minima(ahead, offsets), offsets)
         picks[np.diff(offsets) > 0] = best

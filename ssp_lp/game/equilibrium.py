@@ -56,7 +56,7 @@ class Game:
         """Return the sum of the absolute terms of a payoff, to which tolerances are relative."""
         return response.size(alpha, (1.0 - alpha) * self.scale)
 
-    def owed(self, alpha: float, origin: float) -> float:
+    def failure_term(self, alpha: float, origin: float) -> float:
         """Return the failure term of the payoff if the whole budget is used: (1 - alpha) eta.
 
         If ``origin`` is 1, J_cond is counted from 1.
@@ -70,7 +70,7 @@ class Game:
         """Return the slope in alpha of a policy's payoff: J_obj - scale * J_cond."""
         return response.objective - self.scale * response.condition
 
-    def rises(self, response: BestResponse) -> bool:
+    def rises_with_alpha(self, response: BestResponse) -> bool:
         """Return whether a policy's payoff increases with alpha or is constant."""
         return self.excess(response) >= -_LEVEL * self.stake
 
@@ -219,12 +219,12 @@ def play(
     if minus is None:
         minus = game.best_response(player, 0.0, accuracy)
         responses.append(minus)
-        if not game.rises(minus):
+        if not game.rises_with_alpha(minus):
             return Equilibrium(game, minus, minus, 0.0, minus.bound, tuple(responses))
     if plus is None:
         plus = game.best_response(player, 1.0, accuracy)
         responses.append(plus)
-        if game.rises(plus):
+        if game.rises_with_alpha(plus):
             return Equilibrium(game, plus, plus, 1.0, plus.bound, tuple(responses))
     while True:  # until no response lies below the crossing of the two lines
         alpha = crossing(game, minus, plus)
@@ -236,7 +236,7 @@ def play(
         stalled = game.payoff(alpha, response) >= upper - 1e-15 * size
         if done or stalled or len(responses) > _MOST_ROUNDS:
             return Equilibrium(game, minus, plus, alpha, response.bound, tuple(responses))
-        if game.rises(response):
+        if game.rises_with_alpha(response):
             minus = response
         else:
             plus = response
@@ -262,8 +262,8 @@ def _closest_to_equilibrium(
     A policy rises if its payoff does not decrease with alpha. The policy of a kind is None if no
     response is of this kind.
     """
-    rising = [r for r in responses if game.rises(r)]
-    falling = [r for r in responses if not game.rises(r)]
+    rising = [r for r in responses if game.rises_with_alpha(r)]
+    falling = [r for r in responses if not game.rises_with_alpha(r)]
     if not rising or not falling:
         return next(iter(rising), None), next(iter(falling), None)
     minus, plus, *_ = cheapest_crossing(rising, falling, lambda r: -game.excess(r))

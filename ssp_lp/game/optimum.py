@@ -188,7 +188,7 @@ def _threshold_from_game_value(played: Equilibrium) -> float:
     """Return a lower bound of J_obj for all policies within the budget, from a game's value."""
     if played.alpha == 0.0:
         return 0.0
-    owed = played.game.owed(played.alpha, played.origin)
+    owed = played.game.failure_term(played.alpha, played.origin)
     rounding = _CANCELLED * (abs(played.least) + abs(owed))
     return (played.least - owed - rounding) / played.alpha
 
@@ -404,7 +404,7 @@ def _least_ratio(
         SolverError: every policy fails with probability 1 to rounding.
     """
     tried = list(responses)
-    hopeful = [r for r in tried if r.is_hopeful]
+    hopeful = [r for r in tried if r.has_conditional_cost]
     if not hopeful:
         raise SolverError(
             "the game cannot compute costs given success: the goal is reached with a (discounted) "
@@ -419,7 +419,7 @@ def _least_ratio(
             response = player.response(1.0, c, 0.1 * tolerance)
         if search.stop:
             break
-        if not response.is_hopeful or response.ratio >= c * (1.0 - 1e-15):
+        if not response.has_conditional_cost or response.ratio >= c * (1.0 - 1e-15):
             return best, tuple(tried), True
         tried.append(response)
         best = response

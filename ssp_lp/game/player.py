@@ -128,7 +128,7 @@ class BestResponse:
         return (1.0 - self.origin) - self.failing
 
     @property
-    def is_hopeful(self) -> bool:
+    def has_conditional_cost(self) -> bool:
         """Whether the success is large enough to compute the cost given success."""
         return self.success > (0.0 if self.origin else _ROUNDED_SUCCESS)
 
@@ -218,7 +218,7 @@ def improved_response(
         totals = dynamics.chain(choice).solve(costs[choice])
         steps += 1
         backup = best_pairs(offsets, transitions, pair_cost, totals @ weights, choice)
-        better = backup.minima < backup.here - IMPROVEMENT * np.abs(backup.here)
+        better = backup.minima < backup.current_values - IMPROVEMENT * np.abs(backup.current_values)
         if steps >= 100 or not better.any():  # later steps change the rounding alone
             return choice, totals, steps
         choice = np.where(better, backup.choice, choice)
@@ -260,7 +260,7 @@ def label_process(
         start=quotient.gather(start),
         start_goal=float(start[model.goal_mask].sum()),
         start_failure=float(start[quotient.dead].sum()),
-        departs=np.ones(len(paid)),
+        escape=np.ones(len(paid)),
     )
     return process, float(start @ entering)
 
@@ -374,8 +374,8 @@ class Player:
             chain = dynamics.chain(choice)
             early[k] = chain.solve(self.base.gain[choice])
             weight = np.where(quotient.model.goal_mask, 1.0, survival * quotient.lift(early[k]))
-            priced = quotient.at_pairs(cost_means(quotient.model, weight))
-            cost[k] = chain.solve(priced[choice])
+            costs = quotient.at_pairs(cost_means(quotient.model, weight))
+            cost[k] = chain.solve(costs[choice])
         return early, cost
 
     @property
@@ -486,9 +486,9 @@ class Player:
         price = float(weights[1] / weights[0]) if weights[0] > 0.0 else _DEAREST
         scale = float(weights[0]) if weights[0] > 0.0 else float(weights[1]) / _DEAREST
         sweep, failing = Sweep.of_ends(process), 0.0 if self.origin else price
-        choice = sweep.room_for_choice()
-        priced = at_price(sweep, price, failing)
-        objective, failure, goal = sweep.minimise(priced, choice).tolist()
+        choice = sweep.empty_choice()
+        costs = at_price(sweep, price, failing)
+        objective, failure, goal = sweep.minimise(costs, choice).tolist()
         bound = max(scale * self.lower_bounds(sweep, price, failing)[0][0],
                     -weights[1] * self.origin)  # J_obj is never negative  # fmt: skip
         failed = -base.start_goal - goal if self.origin else base.start_failure + failure
@@ -512,14 +512,14 @@ class Player:
             in each layer, [layers, nodes].
         """
         process: Any = sweep.process
-        priced = at_price(sweep, price, failing, bounds=True)
+        costs = at_price(sweep, price, failing, bounds=True)
         if self.tail is not None:
             charge, failure, goal = np.moveaxis(process.measures_beyond(price), -1, 0)
             size = charge + failing * failure + (price - failing) * goal
             beyond = process.beyond_value(price, failing) - _ROUNDED * size
-            priced = priced._replace(beyond=beyond)
+            costs = costs._replace(beyond=beyond)
         anything = np.broadcast_to(np.inf, (process.cap, process.base.n_nodes))
-        return sweep.bound(priced, anything)
+        return sweep.bound(costs, anything)
 
     def surplus(self, price: float, accuracy: float) -> float:
         """Return a lower bound of ``J_obj - price * (1 - J_cond)`` for all policies, rounded down.
@@ -574,22 +574,22 @@ class Player:
         return TimedPolicy(tuple(stages)) if len(stages) > 1 else stages[0]
 
 
-def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
-    """Return the next M, at which the loss is expected to fall to ``wanted``.
+def _larger_cap(loss: Mapping[float, float], target: float) -> float:
+    """Return the next M, at which the loss is expected to fall to ``target``.
 
     The loss is the distance of a response's payoff from its lower bound. The result is at least
     1.25 and at most 4 times the last M.
 
     Args:
-        lost: loss at each M so far.
-        wanted: loss to reach.
+        loss: loss at each M so far.
+        target: loss to reach.
     """
-    cap = max(lost)
+    cap = max(loss)
     needed = 2.0 * cap
-    smaller = max((c for c in lost if c < cap), default=cap)
-    if lost[cap] < lost[smaller] and wanted > 0.0:
-        rate = np.log(lost[smaller] / lost[cap]) / (cap - smaller)
-        needed = cap + 1.1 * np.log(lost[cap] / wanted) / rate
+    smaller = max((c for c in loss if c < cap), default=cap)
+    if loss[cap] < loss[smaller] and target > 0.0:
+        rate = np.log(loss[smaller] / loss[cap]) / (cap - smaller)
+        needed = cap + 1.1 * np.log(loss[cap] / target) / rate
     return min(max(needed, 1.25 * cap), 4.0 * cap)
 
 
@@ -774,8 +774,8 @@ class BayesPlayer(Player):
         choice[horizon] = tail - first
         for time in backward(horizon):
             now = weights * [1.0, gamma**time]
-            priced = now[0] * stage + now[1] * base.failure[:, None]
-            best, below = self._least(priced + self._ahead(lowest, totals))
+            costs = now[0] * stage + now[1] * base.failure[:, None]
+            best, below = self._least(costs + self._ahead(lowest, totals))
             choice[time] = (best - first[:, None]).T
             on_objective = np.take_along_axis(stage + self._ahead(objective, totals), best, 0)
             on_condition = np.take_along_axis(
@@ -818,12 +818,12 @@ class BayesPlayer(Player):
         bound[:cap] = np.maximum(bound[:cap], below)
         return np.asarray(bound.T)
 
-    def _least(self, priced: FloatArray) -> tuple[IntArray, FloatArray]:
+    def _least(self, costs: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the first best pair of each (node, layer), and its value."""
         first = self.base.pair_offsets[:-1]
-        least = np.minimum.reduceat(priced, first, axis=0)
-        attains = priced == np.repeat(least, np.diff(self.base.pair_offsets), axis=0)
-        number = np.where(attains, np.arange(len(priced))[:, None], len(priced))
+        least = np.minimum.reduceat(costs, first, axis=0)
+        attains = costs == np.repeat(least, np.diff(self.base.pair_offsets), axis=0)
+        number = np.where(attains, np.arange(len(costs))[:, None], len(costs))
         return np.minimum.reduceat(number, first, axis=0), least
 
 

@@ -33,7 +33,7 @@ from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.failure_product import label_failing
-from ssp_lp.model.graph import kept
+from ssp_lp.model.graph import stored_with_model
 from ssp_lp.model.product import HorizonSSP, ProductSSP, unroll_steps
 from ssp_lp.model.ssp import check_model, check_offsets
 from ssp_lp.model.state_rows import StateRows
@@ -611,7 +611,8 @@ def _solution_words(problem: Problem) -> dict[str, Any]:
 def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[Any, Any]) -> None:
     """Raise :class:`ModelError` unless a problem has the arguments stored with a solution.
 
-    ``kept`` has the stored arguments by name, and ``start`` is the stored start, [states].
+    ``stored_with_model`` has the stored arguments by name, and ``start`` is the stored start,
+    [states].
     """
     for name, stated in _solution_words(problem).items():
         saved = kept[name]
@@ -631,7 +632,7 @@ _PIECE = 1 << 20
 
 
 @explained
-@kept
+@stored_with_model
 def fingerprint(model: SSP) -> str:
     """Return the SHA-256 of a model's content, in hexadecimal, cached with the model.
 
@@ -690,7 +691,7 @@ def fingerprint(model: SSP) -> str:
     return digest.hexdigest()
 
 
-@kept
+@stored_with_model
 def pair_print(model: SSP) -> str:
     """Return the SHA-256 of the list that says how many actions each state has.
 

@@ -97,7 +97,7 @@ def first_accepted(
     if accepted:
         return min(accepted, key=lambda each: each[0])[1:]
     if is_late():
-        raise Stop(told=f"no LP backend's answer passed its check in time: {tried[-1]}")
+        raise Stop(note=f"no LP backend's answer passed its check in time: {tried[-1]}")
     failures = "; ".join(tried)
     raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
 
@@ -187,15 +187,15 @@ def run_backend(
     return answer
 
 
-def serve_backend(question: BinaryIO, reply: BinaryIO) -> None:
+def serve_backend(request: BinaryIO, reply: BinaryIO) -> None:
     """Run an LP backend on one program in a separate process.
 
     Args:
-        question: the arguments of :func:`run_backend`, pickled.
+        request: the arguments of :func:`run_backend`, pickled.
         reply: the file to which the answer, or the error, is pickled.
     """
     try:
-        answer: LPAnswer | Exception = _backend_answer(*pickle.load(question))  # noqa: S301
+        answer: LPAnswer | Exception = _backend_answer(*pickle.load(request))  # noqa: S301
     except Exception as error:  # the asking process raises it
         answer = error
     pickle.dump(answer, reply)

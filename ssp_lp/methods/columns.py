@@ -122,13 +122,13 @@ def best_within_budget(
     if guess is not None:
         compiled = compiled.capped_at((1.0 + guess.spread) * guess.price)
     optimum = refined_optimum(compiled, budget, options, guess)
-    worth, bound = sense.worth(optimum.value), sense.worth(optimum.bound)
+    worth, bound = sense.stated(optimum.value), sense.stated(optimum.bound)
     gained, is_met = -optimum.value, relative_gap(bound, worth) <= options.tolerance
     if sense.constant and 0.0 < abs(worth) < gained and not is_met:  # cancellation in the worth
         finer = max(options.tolerance * abs(worth) / gained, _LEAST_TOLERANCE)
         exactly = replace(options, tolerance=finer)
         optimum = optimum.followed_by(refined_optimum(optimum.compiled, budget, exactly))
-    compiled, unlimited = optimum.compiled, not problem.ratio and optimum.row.demanded <= 0.0
+    compiled, unlimited = optimum.compiled, not problem.ratio and optimum.row.required <= 0.0
     relaxed = "lp" if options.program is not None else "unlimited" if unlimited else "columns"
     reason = _REASONS[relaxed]
     if sense.constant is not None:
@@ -137,7 +137,7 @@ def best_within_budget(
             reason = f"{reason}, exact from cost {compiled.cost_horizon:.6g} on"
     reason = f"{reason}, {optimum.calls} pricing calls"
     notes = [remarks(problem, optimum.row.budget, optimum.generated.finished)]
-    if compiled.charge is not None and compiled.charge.settled is None:
+    if compiled.charge is not None and compiled.charge.affine_from_total is None:
         notes += [_UNSETTLED] * (optimum.gap > options.tolerance)
     note = "; ".join(filter(None, notes))
     answer = replace(optimum, note=note) if note else optimum
@@ -213,7 +213,7 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
     price = 0.0 if price == penalty else price - penalty
     if not (np.isfinite(price) and price >= 0.0):
         reason = f"the price is not a number >= {penalty:g}"
-        return Proved(evaluation.objective, sense.worth(0.0), budget, reason)
+        return Proved(evaluation.objective, sense.stated(0.0), budget, reason)
     kappa = price
     if problem.ratio and evaluation.goal_probability > 0:
         kappa += evaluation.objective if is_priced else solution.objective
@@ -229,11 +229,11 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
     if tail > _LITTLE and (exact := compiled.for_program()) is not compiled:
         # better tails may reduce the loss by the cap
         bound, tail = _bound_by_values(exact, row, kappa, price == 0.0, solution)
-    is_least = least is not None and least.is_proved and row.leaves_only(least.column)
+    is_least = least is not None and least.is_proved and row.equals_least(least.column)
     if least is not None and is_least and least.column.goal > 0.0:
         # the least failure is exact to the last digit
         is_kept = evaluation.limited_failure <= budget
-        value = sense.worth(evaluation.objective)
+        value = sense.stated(evaluation.objective)
         if not (is_kept and relative_gap(least.objective_bound, value) > CONTRADICTION):
             bound = max(bound, least.objective_bound)
     return proved_objective(sense, evaluation.objective, bound, row.budget, tail=tail)
@@ -355,11 +355,11 @@ def _capped_by_case_m(
 ) -> tuple[CompiledProblem, DualGuess | None]:
     """Return a case S problem with a first cap on accumulated cost, and a first price of failure.
 
-    If the problem's own first cap is a poor guess (``is_long_shot``), case M is solved, which needs
+    If the problem's own first cap is a poor guess (``is_cap_poor``), case M is solved, which needs
     no accumulated cost. The price of failure of case M is near that of case S, and the cap is a
     multiple of this price. Otherwise the problem is returned unchanged, without a price.
     """
-    if not compiled.is_long_shot:
+    if not compiled.is_cap_poor:
         return compiled, None
     ensure_incumbent()
     incumbent, semantics = prepared(), FailureSemantics(charge_failing_step=False)
@@ -384,14 +384,14 @@ def _safest_optimum(
             or there is no time to compute the policy of least failure.
     """
     if prepared() is not None or compiled.charge is not None:
-        raise Stop(told=stop.told if isinstance(stop, Stop) else "") from stop
+        raise Stop(note=stop.note if isinstance(stop, Stop) else "") from stop
     with WithIncumbent(), closing():
         least = checked_least_failure(compiled, row.budget) if least is None else least
         options = SolveOptions(TRIAL_TOLERANCE)
         optimum = _attempt(compiled, row, least, options, None, by_pricing=False)
         return replace(optimum, generated=replace(optimum.generated, finished=False))
-    words = stop.told if isinstance(stop, Stop) else ""
-    raise Stop(told=words or "no policy was evaluated") from stop
+    words = stop.note if isinstance(stop, Stop) else ""
+    raise Stop(note=words or "no policy was evaluated") from stop
 
 
 def _attempt(
@@ -423,29 +423,29 @@ def _attempt(
     program = None
     if options.program is not None and least is not None:
         row = row.raised_to(least.column)
-        if row.spare(least.column) > (0.0 if row.is_rare else LEAST_BUDGET):
+        if row.slack(least.column) > (0.0 if row.is_rare else LEAST_BUDGET):
             process = compiled.explicit()
             limits = {FAILURE_ROW: (process.failure, row.budget)}
             if row.is_rare:  # in units of the demanded goal, which is below solver tolerances
-                limits = {FAILURE_ROW: (-process.goal / row.demanded, -1.0)}
+                limits = {FAILURE_ROW: (-process.goal / row.required, -1.0)}
             program = solve_program(process, limits, options, ratio=row.ratio)
             kappa = program.prices.get(FAILURE_ROW, 0.0) + row.ratio * program.objective
             guess = DualGuess(kappa, SPREAD)
-    if guess is None and row.demanded <= 0.0 and not row.ratio:
+    if guess is None and row.required <= 0.0 and not row.ratio:
         guess = DualGuess(0.0, SPREAD, slack=True)  # no limit, so the price is 0
     master = None
-    if by_pricing and (least is None or row.spare(least.column) > 0.0):
+    if by_pricing and (least is None or row.slack(least.column) > 0.0):
         master = columns_by_pricing(compiled, row, guess, options)
     if master is None:
         least = checked_least_failure(compiled, row.budget) if least is None else least
         row = row.raised_to(least.column)
         master = master_at(Pool(compiled.pricing()), row, least.column)
-    search = replace(options, tolerance=TRIAL_TOLERANCE) if compiled.is_trial else options
+    search = replace(options, tolerance=TRIAL_TOLERANCE) if compiled.is_guess else options
     generated = certified(master, row, generate(master, search), search.tolerance)
     if program is not None and generated.finished:
         check_agreement(program, generated.objective)
     bound, price = generated.lower_bound, max(generated.price - generated.ratio, 0.0)
-    if least is not None and least.is_proved and row.spare(least.column) <= 0.0 < least.column.goal:
+    if least is not None and least.is_proved and row.slack(least.column) <= 0.0 < least.column.goal:
         bound = max(bound, least.objective_bound)  # of least failure, as the answer is
     optimum = Optimum(
         policy=generated.lottery(master.pool.pricing),
@@ -467,7 +467,7 @@ def _attempt(
     if not is_near or optimum.gap <= options.tolerance or is_late():
         return optimum
     least = checked_least_failure(compiled, row.budget)
-    if not row.leaves_only(least.column):
+    if not row.equals_least(least.column):
         return replace(optimum, least=least)
-    equal, later = row.equal_to(least.column), options.after(optimum.calls)
+    equal, later = row.with_budget_of(least.column), options.after(optimum.calls)
     return optimum.followed_by(_attempt(compiled, equal, least, later, None))

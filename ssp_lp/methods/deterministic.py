@@ -65,7 +65,7 @@ from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.model.graph import reached_along
 from ssp_lp.policies.policy import as_lottery
 from ssp_lp.processes.explicit_process import ExplicitProcess, bound_of
-from ssp_lp.processes.failure_label import FailureLabelled
+from ssp_lp.processes.failure_label import LabelledProcess
 from ssp_lp.processes.quotient import Quotient
 from ssp_lp.solution import Answer, Solution
 
@@ -193,7 +193,7 @@ class _PolicySearch:
                 policy = relaxation.compiled.pricing().policy(found)
                 self.best = Answer(policy, value, self.best.bound, found.failure)
 
-    def is_closed(self, bound: float) -> bool:
+    def is_pruned(self, bound: float) -> bool:
         """Return whether a node with this lower bound has no policy better than the incumbent."""
         return relative_gap(self.best.value, bound) <= self.tolerance
 
@@ -224,7 +224,7 @@ class _Tree:
     price: float  # of failure, of the best lottery
     nodes: list[tuple[float, int, _Node]] = field(default_factory=list)  # a heap, by their bounds
     closed: float = np.inf  # least bound of the sets that are not divided further
-    made: int = 0  # number of nodes
+    n_created: int = 0  # number of nodes
 
     @property
     def bound(self) -> float:
@@ -241,7 +241,7 @@ class _Tree:
         self._add(_Node(-np.inf, self.price, choice, choice), choice)
         while self.nodes and not is_late():
             node = self.nodes[0][-1]
-            pair = -1 if self.search.is_closed(node.bound) else self._differing(node)
+            pair = -1 if self.search.is_pruned(node.bound) else self._differing(node)
             if pair < 0:
                 self.closed = min(self.closed, node.bound)
             else:
@@ -289,22 +289,22 @@ class _Tree:
             if last is None or bound > best:
                 best, last = bound, column
             known = [end.cost + price * end.failure for end in (inside, outside) if end]
-            if self.row.breaks(column):
+            if self.row.is_violated_by(column):
                 outside = column
             else:
                 inside = column
                 self.search.offer(column)
             following = self._next_price(price, inside, outside)
             is_settled = len(known) == 2 and line >= min(known) * (1.0 - _SETTLED)
-            if is_settled or following == price or self.search.is_closed(bound):
+            if is_settled or following == price or self.search.is_pruned(bound):
                 break
             price = following
         bound = node.bound if last is None else max(self._proved(rewards, last), node.bound)
-        if inside and outside and not self.search.is_closed(bound):
+        if inside and outside and not self.search.is_pruned(bound):
             ends = required(inside.choice), required(outside.choice)
             part = replace(node, bound=bound, price=price, inside=ends[0], outside=ends[1])
-            self.made += 1
-            heapq.heappush(self.nodes, (bound, self.made, part))
+            self.n_created += 1
+            heapq.heappush(self.nodes, (bound, self.n_created, part))
         else:
             self.closed = min(self.closed, bound)
 
@@ -385,14 +385,14 @@ class _Tree:
         if inside is None:
             if outside is None:
                 return price
-            wanted = self.search.best.value * (row.demanded if row.ratio else 1.0)
-            enough = 2.0 * (outside.cost - wanted) / row.spare(outside)  # to close it clearly
+            wanted = self.search.best.value * (row.required if row.ratio else 1.0)
+            enough = 2.0 * (outside.cost - wanted) / row.slack(outside)  # to close it clearly
             return enough if price < enough < _STEP * price else _STEP * price
         if row.ratio:
             least = max(least, row.objective(inside.cost, inside.goal))
         if outside is None:
             return max(least, price / _STEP if price * _STEP**5 > self.price else 0.0)
-        slope = (inside.cost - outside.cost) / (row.spare(inside) - row.spare(outside))
+        slope = (inside.cost - outside.cost) / (row.slack(inside) - row.slack(outside))
         return max(least, slope)
 
 
@@ -526,7 +526,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> _Determ
     free = np.zeros(process.n_states, dtype=np.bool_)
     if exact.charge is None:
         labelled = cast("CompiledExplicit", exact)
-        merged = _merged_nodes(cast("FailureLabelled", labelled.augmented).quotient)
+        merged = _merged_nodes(cast("LabelledProcess", labelled.augmented).quotient)
         free[: len(merged)] = merged
 
         def measure(choice: IntArray) -> list[Column]:

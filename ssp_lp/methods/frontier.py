@@ -77,7 +77,7 @@ from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import (
     Problem,
-    Restated,
+    RestatedProblem,
     budget_of_share,
     check_problem,
     compiled_constrained,
@@ -589,7 +589,7 @@ class _OptimumPoints:
             budget: bound of the traced quantity.
             attained: objective of the lottery at this bound.
         """
-        proved = self.sense.worth(self.least(budget))
+        proved = self.sense.stated(self.least(budget))
         return max(proved, attained) if frontier.maximises else min(proved, attained)
 
     def least(self, bound: float) -> float:
@@ -671,7 +671,7 @@ class _Columns:
             safest = checked_least_failure(compiled, None).column
         else:
             weights = np.array([1.0, steepest])
-            safest = self.pool.priced(weights, self.pool.pricing.first())
+            safest = self.pool.minimise(weights, self.pool.pricing.first())
             if row.ratio and row.objective(safest.cost, safest.goal) >= steepest:
                 raise ModelError(
                     f"failing is optimal at a price of failure of {steepest:g}: "
@@ -705,7 +705,7 @@ class _Columns:
         column = self._priced.get(price)
         if price > 0.0 and below > gap and column is None:
             with WithIncumbent():
-                column = replace(self.pool.priced(np.array([1.0, price]), q), found_at=price)
+                column = replace(self.pool.minimise(np.array([1.0, price]), q), found_at=price)
                 calls, points = self.pool.calls, len(self._columns)
                 _LOG.debug("%d pricing calls, %d turning points", calls, points)
                 self.limits.report(calls, points)
@@ -772,7 +772,7 @@ def _traced_by_columns(problem: Problem, limits: _TraceLimits) -> Frontier:
     compiled = problem.compile()
     if limits.steepest_price is None:
         compiled = compiled.for_program()
-    elif compiled.is_trial:
+    elif compiled.is_guess:
         compiled = compiled.refined(limits.steepest_price) or compiled
     frontier: Frontier | None = None
     columns: _Columns | None = None
@@ -909,7 +909,7 @@ class _Optima:
 
     def _scale(self, p: _Optimum, q: _Optimum) -> float:
         """Return the divisor of relative gaps: the larger absolute objective of p and q."""
-        worth = self.stated.sense.worth
+        worth = self.stated.sense.stated
         return max(abs(worth(p.value)), abs(worth(q.value)), _LEAST)
 
     def _mixed(self, p: _Optimum, q: _Optimum, bound: float) -> float:
@@ -941,8 +941,8 @@ class _Optima:
         budget = 1.0 if of_failure else problem.failure_budget
         held = tuple(conditions.values())
         asked = problem.model, problem.start, False, budget, semantics, held, problem.discount
-        safest = compiled_constrained(Restated(*asked, objective))
-        least = safest.sense.worth(rows_optimum(safest, self.options).value)
+        safest = compiled_constrained(RestatedProblem(*asked, objective))
+        least = safest.sense.stated(rows_optimum(safest, self.options).value)
         return 1.0 - least if of_failure else least
 
     def add(self, bound: float) -> None:
@@ -988,7 +988,7 @@ class _Optima:
         turning += points[1:][-1:]
         spent, value, goal = np.array([(o.spent, o.value, o.goal) for o in turning]).T
         below = [max(self._apart(p, q)[0], 0.0) for p, q in pairwise(turning)]
-        cost = value * goal if ratio else np.array([sense.worth(v) for v in value])
+        cost = value * goal if ratio else np.array([sense.stated(v) for v in value])
         objective = cost / goal if ratio else cost
         own = [(o.value - o.proved) / self._scale(o, o) for o in turning]
         return Frontier(

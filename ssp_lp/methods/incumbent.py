@@ -35,9 +35,9 @@ from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.policy import as_lottery
-from ssp_lp.problem import Problem, Restated
+from ssp_lp.problem import Problem, RestatedProblem
 from ssp_lp.processes.failure_semantics import (
-    AS_ASKED,
+    AS_IS,
     RARE_GOAL,
     GoalShare,
     ObjectiveSense,
@@ -105,7 +105,7 @@ class Incumbent:
         """
         if not self.stated.counts_totals:
             return other
-        best, bound = self.solution or other, worth_bound(self.stated.unrolled)
+        best, bound = self.solution or other, cheapest_way_bound(self.stated.unrolled)
         sign = 1.0 if other.upper_bound is None else -1.0
         if sign * other.objective <= sign * best.objective:
             best = other
@@ -146,7 +146,7 @@ class Incumbent:
 def _incumbent_value(
     problem: Problem,
     policy: MixedPolicy,
-    room: float,
+    slack: float,
     judge: Callable[..., Evaluation] = evaluate,
 ) -> Solution | None:
     """Return a policy of case M as a solution of a problem.
@@ -156,17 +156,17 @@ def _incumbent_value(
     Args:
         problem: the problem.
         policy: the policy.
-        room: amount by which the failure may exceed the budget, in addition to rounding.
+        slack: amount by which the failure may exceed the budget, in addition to rounding.
         judge: returns the exact evaluation of the policy, or a pessimistic one.
     """
     evaluation, budget = judge(policy, problem), problem.failure_budget
     failure = evaluation.limited_failure
-    allowed = 1.0 if budget is None else max(budget * (1.0 + ATTAINABLE), budget + room)
+    allowed = 1.0 if budget is None else max(budget * (1.0 + ATTAINABLE), budget + slack)
     if not np.isfinite(evaluation.objective) or failure > allowed:
         return None
     if broken_limit(problem, evaluation, ATTAINABLE):
         return None
-    bound, sense, sign = worth_bound(problem), AS_ASKED, 1.0
+    bound, sense, sign = cheapest_way_bound(problem), AS_IS, 1.0
     if problem.semantics.maximises:
         sense, sign = ObjectiveSense(0.0), -1.0
     reason = "a policy of case M, which the search did not improve in time"
@@ -195,7 +195,7 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
     """
     model, semantics, risk = problem.model, problem.semantics, problem.semantics.risk
     asked = problem.start, True, problem.failure_budget, replace(semantics, measure=None)
-    evaluation = evaluate(policy, Restated(model, *asked, problem.conditions))
+    evaluation = evaluate(policy, RestatedProblem(model, *asked, problem.conditions))
     start, squares = problem.start_mass, 0.0
     for member, weight in zip(policy.policies, policy.weights.tolist(), strict=True):
         chain = policy_chain(model, member, start)
@@ -212,53 +212,53 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
         return replace(evaluation, objective=mean + spread * sqrt(odds))
     charge = semantics.charge(problem.ratio) or TOTAL_COST
     if charge.slope > 0.0:  # at most the charge where the line begins, plus the excess beyond it
-        line = charge.settled or 0.0
+        line = charge.affine_from_total or 0.0
         beyond = 0.5 * (hypot(spread, line - mean) - (line - mean))
         first = float(charge.at(np.array([line]))[0])
         return replace(evaluation, objective=first + charge.slope * beyond)
     away = spread * np.append(0.0, np.geomspace(1e-2, 1e4, 601))
-    if charge.settled is not None:
-        away = np.append(away, max(charge.settled - mean, 0.0))
+    if charge.affine_from_total is not None:
+        away = np.append(away, max(charge.affine_from_total - mean, 0.0))
     in_time = away**2 / np.maximum(spread**2 + away**2, 1e-300)
     charged = in_time * charge.at(mean + away) + (1.0 - in_time) * charge.offset
-    return replace(evaluation, objective=semantics.failing_worth - goal * float(charged.min()))
+    return replace(evaluation, objective=semantics.failing_value - goal * float(charged.min()))
 
 
 def prove_by_cheapest_way(problem: Problem, evaluation: Evaluation) -> Proved:
     """Return the bound of the optimum by the cheapest way to the goal; it needs no search."""
-    return Proved(evaluation.objective, worth_bound(problem), problem.failure_budget or 0.0)
+    return Proved(evaluation.objective, cheapest_way_bound(problem), problem.failure_budget or 0.0)
 
 
 def broken_limit(
     problem: Problem,
     evaluation: Evaluation,
-    room: float = 2.0 * ATTAINABLE,
-    granted: Mapping[str, float] | None = None,
+    slack: float = 2.0 * ATTAINABLE,
+    raised_bounds: Mapping[str, float] | None = None,
 ) -> str:
     """Return a message about the first limit that a policy violates, or an empty string.
 
     Args:
         problem: the problem.
         evaluation: evaluation of the policy.
-        room: tolerance, relative to the magnitude of the limit.
-        granted: bounds, by name, that replace the stated ones.
+        slack: tolerance, relative to the magnitude of the limit.
+        raised_bounds: bounds, by name, that replace the stated ones.
     """
-    granted = granted or {}
+    raised_bounds = raised_bounds or {}
     for condition in problem.conditions:
         spent = evaluation.secondary_costs[condition.name]
         for each in condition.rows:
             row = each.by_digits
-            taken, most = row.activity(spent), granted.get(row.name, row.bound)
-            if taken > most + room * max(row.size, _NOTHING):
-                return f"the policy spends {taken:.12g} of {row.told!r}, {row.bound:.12g} allowed"
+            taken, most = row.activity(spent), raised_bounds.get(row.name, row.bound)
+            if taken > most + slack * max(row.size, _NOTHING):
+                return f"the policy spends {taken:.12g} of {row.text!r}, {row.bound:.12g} allowed"
     goal, budget = evaluation.limited_goal, problem.failure_budget
-    demanded = budget.demanded if isinstance(budget, GoalShare) else 0.0
-    if demanded < RARE_GOAL and goal < demanded * (1.0 - room):
+    demanded = budget.required if isinstance(budget, GoalShare) else 0.0
+    if demanded < RARE_GOAL and goal < demanded * (1.0 - slack):
         return f"the goal probability is {goal:.12g}, {demanded:.12g} required"
     return ""
 
 
-def worth_bound(problem: Problem) -> float:
+def cheapest_way_bound(problem: Problem) -> float:
     """Return a bound of the optimum from the cost of the cheapest way to the goal.
 
     No run to the goal costs less than the cheapest way, and charges do not fall when the total
@@ -282,4 +282,4 @@ def worth_bound(problem: Problem) -> float:
         return charge
     charge = min(charge, 0.0)
     greatest = float(start @ greatest_goal_reach(model).bound)
-    return semantics.failing_worth - charge * min(greatest, 1.0)
+    return semantics.failing_value - charge * min(greatest, 1.0)

@@ -20,7 +20,7 @@ from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_label import label_failure
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.live_rows import cost_means
-from ssp_lp.programs.augmented import Augmented, LabelledModel, LayeredModel
+from ssp_lp.programs.augmented import AugmentedProcess, LabelledModel, LayeredModel
 from ssp_lp.programs.occupation_program import OccupationProgram, ProgramRow
 
 
@@ -64,8 +64,8 @@ def program_of(
     stated, bounds = compiled_constrained(inner), bounds or {}
     side = tuple(replace(row, bound=bounds.get(row.name, row.bound)) for row in stated.side)
     budget = min(bounds[FAILURE_ROW], 1.0) if FAILURE_ROW in bounds else stated.budget
-    compiled = replace(stated, budget=budget, side=side).settled()
-    augmented: Augmented | None = None
+    compiled = replace(stated, budget=budget, side=side).at_least_failure()
+    augmented: AugmentedProcess | None = None
     total = compiled.ratio and isinstance(compiled.charge, TotalCostCharge)
     if total and compiled.budget is None and not inner.has_rows and compiled.fixed_cap is None:
         augmented = _cost_given_success(compiled)  # without accumulated cost
@@ -93,7 +93,7 @@ def program_of(
         pairs = augmented.part.pairs
         of_side = (row[pairs] for row in compiled.row_coefficients(compiled.side))
         taken = (augmented.process.failure, *of_side)
-        bounded = zip(compiled.names, limits, compiled.told, taken, strict=True)
+        bounded = zip(compiled.names, limits, compiled.texts, taken, strict=True)
         for name, bound, words, each in bounded:
             if np.isfinite(bound):
                 takes = np.ascontiguousarray(each)
@@ -125,7 +125,7 @@ def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
     labelled = label_failure(model, start, semantics, facts.discount, greatest.usable)
     process = labelled.process
     chance = np.where(model.goal_mask, 1.0, greatest.goal)
-    cost = labelled.quotient.at_pairs(cost_means(model, chance)) / labelled.departs
+    cost = labelled.quotient.at_pairs(cost_means(model, chance)) / labelled.escape
     cost = np.append(cost, np.zeros(process.n_pairs - cost.size))
     labelled = replace(labelled, process=replace(process, cost=cost))
     return LabelledModel.of(labelled, start, semantics, facts.discount)

@@ -21,7 +21,7 @@ from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense
+from ssp_lp.processes.failure_semantics import AS_IS, ObjectiveSense
 from ssp_lp.solution import Answer
 
 
@@ -63,9 +63,9 @@ def proved_objective(
     """
     constant = sense.constant
     value = objective + sense.offset if constant is None else constant - objective
-    bound = sense.settled_bound(value, bound, paid)
+    bound = sense.bound_or_value(value, bound, paid)
     return Proved(
-        objective, objective if bound == value else sense.worth(bound), allowed, tail=tail
+        objective, objective if bound == value else sense.stated(bound), allowed, tail=tail
     )
 
 
@@ -88,7 +88,7 @@ class Optimum(Answer, Generic[_Compiled]):
     work: Work  # of all searches
     least: LeastFailure | None = None  # if it had to be computed
     program: str = ""  # report of the last linear program
-    sense: ObjectiveSense = AS_ASKED  # relation between the value and the objective asked for
+    sense: ObjectiveSense = AS_IS  # relation between the value and the objective asked for
 
     @property
     def kappa(self) -> float:
@@ -98,7 +98,7 @@ class Optimum(Answer, Generic[_Compiled]):
     @property
     def gap(self) -> float:
         """Relative gap of the stated objective; infinite if no feasible policy was found."""
-        worth = self.sense.worth
+        worth = self.sense.stated
         is_attained = np.isfinite(self.value)
         return two_sided_gap(worth(self.value), worth(self.bound)) if is_attained else np.inf
 
@@ -110,7 +110,7 @@ class Optimum(Answer, Generic[_Compiled]):
                 the next finer process.
         """
         if spread is None:
-            spread = TRIAL_TOLERANCE if self.compiled.is_trial else SPREAD
+            spread = TRIAL_TOLERANCE if self.compiled.is_guess else SPREAD
         return DualGuess(self.kappa, spread, slack=len(self.generated.columns) == 1)
 
     def followed_by(self, other: Optimum[_Compiled]) -> Optimum[_Compiled]:

@@ -64,7 +64,7 @@ from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, is_late
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import refined_optimum
-from ssp_lp.methods.incumbent import worth_bound
+from ssp_lp.methods.incumbent import cheapest_way_bound
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.methods.rows import (
     bound_at,
@@ -84,25 +84,25 @@ from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 def least_risk(
     problem: Problem,
     options: SolveOptions,
-    question: _Question | None = None,
-    near: Near | None = None,
+    feasible: _Feasible | None = None,
+    hint: Hint | None = None,
 ) -> Solution:
     """Solve for the least quantile, or conditional value at risk, of the cost given success.
 
     Args:
         problem: the problem; it has the measure and its level.
         options: method, tolerance and limits.
-        question: the feasible policies, if already compiled; None: those of the problem.
-        near: a first threshold and a price of failure there, or None.
+        feasible: the feasible policies, if already compiled; None: those of the problem.
+        hint: a first threshold and a price of failure there, or None.
 
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
         ModelError: the layers of accumulated cost do not fit into memory.
     """
-    question = question_of(problem) if question is None else question
+    feasible = feasible_set(problem) if feasible is None else feasible
     is_quantile = isinstance(problem.semantics.risk, CostQuantileOf)
     search = least_quantile if is_quantile else least_tail_mean
-    return search(problem, question, options, near)
+    return search(problem, feasible, options, hint)
 
 
 def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
@@ -114,18 +114,18 @@ def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
             value are tried, so the bound is at most this value.
     """
     problem, value, bound = solution.problem, evaluation.objective, 0.0
-    question, risk = question_of(problem), _risk_of(problem)
+    feasible, risk = feasible_set(problem), _risk_of(problem)
     level = risk.level
     try:
         if isinstance(risk, TailMeanOf):
-            bound = _TailMeanSearch(problem, question, level, CERTIFYING).run()[1]
-        elif (number := question.thresholds.number(value)) > 0:
-            trial = question.attempt(LateCharge(question.thresholds.total(number - 1)), CERTIFYING)
-            refuted = _last_refuted(question, trial, level, -1, number)
-            bound = _beyond_refuted(question, refuted)
+            bound = _TailMeanSearch(problem, feasible, level, CERTIFYING).run()[1]
+        elif (number := feasible.thresholds.number(value)) > 0:
+            trial = feasible.attempt(LateCharge(feasible.thresholds.total(number - 1)), CERTIFYING)
+            refuted = _last_excluded(feasible, trial, level, -1, number)
+            bound = _total_above_excluded(feasible, refuted)
     except ModelError:  # too many layers
-        bound = worth_bound(problem)
-    return Proved(value, bound, question.allowed)
+        bound = cheapest_way_bound(problem)
+    return Proved(value, bound, feasible.allowed)
 
 
 def _risk_of(problem: Problem) -> CostQuantileOf | TailMeanOf:
@@ -215,7 +215,7 @@ class _Trial:
     prices: Mapping[str, float] = field(default_factory=dict)  # of constraints, by name
 
 
-Near = tuple[float, float]
+Hint = tuple[float, float]
 """A start of a search, from coarser costs: the quantile of a good policy, and the price of failure
 there (0: unknown)."""
 
@@ -233,7 +233,7 @@ class _Guess(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Question(ABC):
+class _Feasible(ABC):
     """The feasible policies of a problem, with the operations that a search over thresholds needs.
 
     The operations minimise E[charge | goal] for a charge of the total cost, and compute its lower
@@ -257,10 +257,10 @@ class _Question(ABC):
         """
 
     @abstractmethod
-    def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
+    def charge_bound(self, charge: _Charge, guess: _Guess) -> float:
         """Return a lower bound of E[charge | goal] for all feasible policies, at given prices."""
 
-    def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
+    def exceedance_bounds(self, number: int, guess: _Guess) -> Callable[[int], float]:
         """Return a function from the number of a threshold B to a lower bound of Pr(C > B | goal).
 
         C is the total cost; the bound holds for all feasible policies.
@@ -269,11 +269,11 @@ class _Question(ABC):
             number: number of the greatest threshold that the function is called with.
             guess: the prices at which the lower bounds are proved.
         """
-        return lambda k: self.refuted_below(LateCharge(self.thresholds.total(k)), guess)
+        return lambda k: self.charge_bound(LateCharge(self.thresholds.total(k)), guess)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _WithinBudget(_Question):
+class _WithinBudget(_Feasible):
     """The feasible policies if failure is the only limit."""
 
     compiled: CompiledLayered
@@ -282,7 +282,7 @@ class _WithinBudget(_Question):
         """Minimise E[charge | goal] by column generation on layers of accumulated cost."""
         layer = self.compiled.layer
         shifts = not layer.by_sums and layer.base.instant.nnz == 0
-        if shifts and isinstance(charge, ExcessCharge) and charge.settled == 0.0:
+        if shifts and isinstance(charge, ExcessCharge) and charge.affine_from_total == 0.0:
             # a multiple of the mean, for which one sweep covers many prices of failure
             mean, slope = self._least(TOTAL_COST, options, kappa / charge.slope), charge.slope
             value, bound, price = (
@@ -304,18 +304,18 @@ class _WithinBudget(_Question):
         best = refined_optimum(compiled, self.budget, options, guess)
         return _Trial(best.value, best.bound, best.policy, best.kappa, best.calls)
 
-    def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
+    def charge_bound(self, charge: _Charge, guess: _Guess) -> float:
         """Return the lower bound of E[charge | goal] by one backward sweep at given prices."""
         return self.share(self._proof(charge, guess))
 
-    def late_shares(self, number: int, guess: _Guess) -> Callable[[int], float]:
+    def exceedance_bounds(self, number: int, guess: _Guess) -> Callable[[int], float]:
         """Return a function from a threshold's number to a lower bound of Pr(C > B | goal).
 
         If layers are multiples of a unit, one backward sweep gives all bounds: a run exceeds a
         smaller threshold B if, begun at total ``greatest - B``, it exceeds the greatest threshold.
         """
         if self.compiled.layer.by_sums:
-            return super().late_shares(number, guess)
+            return super().exceedance_bounds(number, guess)
         proof = self._proof(LateCharge(self.thresholds.total(number)), guess)
         by_layer = required(proof.by_layer)
         last = len(by_layer) - 1
@@ -347,7 +347,7 @@ class _WithinBudget(_Question):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _WithinRows(_Question):
+class _WithinRows(_Feasible):
     """The feasible policies if failure and other quantities are limited."""
 
     problem: Problem
@@ -365,7 +365,7 @@ class _WithinRows(_Question):
         best = rows_optimum(self.compiled.charging(charge), options, truth)
         return _Trial(best.value, best.bound, best.policy, best.kappa, best.calls, best.prices)
 
-    def refuted_below(self, charge: _Charge, guess: _Guess) -> float:
+    def charge_bound(self, charge: _Charge, guess: _Guess) -> float:
         """Return a lower bound of E[charge | goal] at the optimal prices of another charge."""
         ratio = guess.kappa - guess.rows.get(FAILURE_ROW, 0.0)
         return bound_at(self.compiled.charging(charge), guess.rows, ratio, self._least_goal)
@@ -383,7 +383,7 @@ def _expected_charge(charge: _Charge, law: CostLaw) -> float:
     return charge.threshold * law.goal + law.excess(charge.threshold) / charge.share
 
 
-def question_of(problem: Problem) -> _Question:
+def feasible_set(problem: Problem) -> _Feasible:
     """Return the feasible policies of a problem, after a check of its budget.
 
     A budget above the least failure by no more than rounding counts as equal to it.
@@ -395,8 +395,8 @@ def question_of(problem: Problem) -> _Question:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
     """
     if not problem.several_rows:
-        return question_of_compiled(compiled_totals(problem), problem.failure_budget)
-    compiled = compiled_constrained(problem).settled()
+        return feasible_compiled(compiled_totals(problem), problem.failure_budget)
+    compiled = compiled_constrained(problem).at_least_failure()
     budget, typical = compiled.budget, compiled.facts.typical_cost
     thresholds: _Thresholds = _Multiples(Fraction(typical / _FINE), sharp=False)
     if compiled.resolution is None:
@@ -416,7 +416,7 @@ def question_of(problem: Problem) -> _Question:
     )
 
 
-def question_of_compiled(compiled: CompiledLayered, budget: float | None) -> _WithinBudget:
+def feasible_compiled(compiled: CompiledLayered, budget: float | None) -> _WithinBudget:
     """Return the feasible policies of a compiled problem, after a check of its budget.
 
     Args:
@@ -453,92 +453,92 @@ _ABOVE = 1e-9  # relative margin of a price above the share for a slack budget
 
 
 def least_quantile(
-    problem: Problem, question: _Question, options: SolveOptions, near: Near | None = None
+    problem: Problem, feasible: _Feasible, options: SolveOptions, hint: Hint | None = None
 ) -> Solution:
     """Search for the least bound B with Pr(C > B | goal) <= 1 - level for some policy.
 
     Args:
         problem: the problem.
-        question: the feasible policies.
+        feasible: the feasible policies.
         options: method, tolerance and limits.
-        near: a guess of the quantile and of the price of failure there, or None.
+        hint: a guess of the quantile and of the price of failure there, or None.
 
     Raises:
         ModelError: the quantile lies beyond the largest possible cap.
         Stop: the time limit was reached before a feasible bound was found.
     """
     level = _risk_of(problem).level
-    places, (total, kappa) = question.thresholds, near or (question.typical, 0.0)
+    places, (total, kappa) = feasible.thresholds, hint or (feasible.typical, 0.0)
     incumbent, calls, number = None, 0, places.number(total)
     low, refuted, high, tried = -1, -1, 0, 0  # infeasible, proved infeasible, feasible; trials
     rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
     with WithIncumbent():
         while incumbent is None or (high - low > 1 and not is_late()):
-            trial = question.attempt(LateCharge(places.total(number)), rough, kappa)
+            trial = feasible.attempt(LateCharge(places.total(number)), rough, kappa)
             calls, kappa, tried = calls + trial.calls, trial.kappa, tried + 1
-            if trial.lower_bound <= _late_share(level) < trial.value and not is_late():
-                trial = question.attempt(LateCharge(places.total(number)), options, kappa)
+            if trial.lower_bound <= _exceedance_limit(level) < trial.value and not is_late():
+                trial = feasible.attempt(LateCharge(places.total(number)), options, kappa)
                 calls, kappa = calls + trial.calls, trial.kappa
-            if trial.value <= _late_share(level):
+            if trial.value <= _exceedance_limit(level):
                 incumbent, high = trial, number
             else:
                 low = number
             if incumbent is None and is_late():
                 break
             last = high if incumbent else 2 * number + 1
-            refuted = max(refuted, _last_refuted(question, trial, level, refuted, last))
+            refuted = max(refuted, _last_excluded(feasible, trial, level, refuted, last))
             low, number = max(low, refuted), max(low, refuted) + 1
             if tried > _NEWTON:
                 number = (low + high) // 2 if incumbent is not None else last
         if incumbent is not None and not is_late():  # least Pr(C > B | goal)
-            best = question.attempt(LateCharge(places.total(high)), options, kappa)
+            best = feasible.attempt(LateCharge(places.total(high)), options, kappa)
             calls += best.calls
             incumbent = min(incumbent, best, key=lambda trial: trial.value)
     if incumbent is None:
-        below = _beyond_refuted(question, refuted)
-        raise Stop(told=f"the least quantile is at least {below:g}")
+        below = _total_above_excluded(feasible, refuted)
+        raise Stop(note=f"the least quantile is at least {below:g}")
     law = success_costs(incumbent.policy, problem)
     objective = law.quantile(level)
     answer = Answer(
         policy=incumbent.policy,
         value=objective,
-        bound=min(_beyond_refuted(question, refuted), objective),
+        bound=min(_total_above_excluded(feasible, refuted), objective),
         failure=complement(law.goal),
-        note="; ".join(filter(None, (question.note, CUT_SHORT if high - low > 1 else ""))),
+        note="; ".join(filter(None, (feasible.note, CUT_SHORT if high - low > 1 else ""))),
     )
     reason = f"{tried} cost bounds, {calls} pricing calls"
     return assembled(problem, answer, Run(options.method, reason, calls, 0.0))
 
 
-def _last_refuted(question: _Question, trial: _Trial, level: float, first: int, last: int) -> int:
+def _last_excluded(feasible: _Feasible, trial: _Trial, level: float, first: int, last: int) -> int:
     """Return the number of the greatest threshold that a trial's prices refute.
 
     A threshold B is refuted if Pr(C > B | goal) > 1 - level for all feasible policies.
 
     Args:
-        question: the feasible policies.
+        feasible: the feasible policies.
         trial: gives the prices; the threshold of the trial does not matter.
         level: level of the quantile, in (0, 1).
         first: number of a refuted threshold.
         last: only smaller numbers are considered.
     """
-    share = _late_share(level)
+    share = _exceedance_limit(level)
     slack = trial.kappa <= trial.value * (1.0 + _ABOVE)  # of the budget
     kappa = share * (1.0 + _ABOVE) if slack else max(trial.kappa, share)
-    shares = question.late_shares(last, _Guess(kappa, trial.prices, slack))
+    shares = feasible.exceedance_bounds(last, _Guess(kappa, trial.prices, slack))
     numbers = range(first + 1, last)
     return first + bisect_left(numbers, True, key=lambda number: shares(number) <= share)
 
 
-def _beyond_refuted(question: _Question, refuted: int) -> float:
+def _total_above_excluded(feasible: _Feasible, refuted: int) -> float:
     """Return the least total above a refuted threshold: a lower bound of the quantile."""
-    places = question.thresholds
+    places = feasible.thresholds
     if places.sharp:
         return places.total(refuted + 1)
     return places.total(refuted) if refuted >= 0 else 0.0
 
 
-def _late_share(level: float) -> float:
+def _exceedance_limit(level: float) -> float:
     """Return the greatest Pr(C > B | goal) at which B is a quantile: 1 - level, plus a tolerance.
 
     It is below 1 at every level, by more than rounding, so some success costs at most B.
@@ -554,7 +554,7 @@ class _TailMeanSearch:
     """A search over thresholds for the least conditional value at risk. Mutable."""
 
     problem: Problem
-    question: _Question
+    feasible: _Feasible
     level: float
     options: SolveOptions
     best: Answer | None = None
@@ -566,14 +566,14 @@ class _TailMeanSearch:
 
     def attempt(self, threshold: int, options: SolveOptions | None = None) -> Answer:
         """Minimise the charge of a threshold; return the incumbent, updated if it was improved."""
-        charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
+        charge = ExcessCharge(self.feasible.thresholds.total(threshold), 1.0 - self.level)
         kappa = self._kappa(threshold)
-        trial = self.question.attempt(charge, options or self.options, kappa)
+        trial = self.feasible.attempt(charge, options or self.options, kappa)
         self.tried[threshold], self.kappas[threshold] = trial, trial.kappa
         self.calls += trial.calls
         law = success_costs(trial.policy, self.problem)
         value, best = law.tail_mean(self.level), self.best
-        quantile = self.question.thresholds.number(law.quantile(self.level))
+        quantile = self.feasible.thresholds.number(law.quantile(self.level))
         tied = _TIED if quantile == threshold else -_TIED  # prefer z equal to the quantile
         if best is None or value <= best.value * (1.0 + tied):
             beyond = trial.kappa - value  # price of the failure row
@@ -583,14 +583,14 @@ class _TailMeanSearch:
             self.best, self.quantile = best, quantile
         return best
 
-    def refuted(self, first: int, last: int) -> float:
+    def bound_between(self, first: int, last: int) -> float:
         """Return a lower bound of F (see the module) on all thresholds from first to last.
 
         The bound is proved at a price of failure that is interpolated between known ones. If the
         budget is slack at a tried threshold nearby, it is also proved at the price ``target``,
         which is enough to reach the target.
         """
-        places, middle = self.question.thresholds, (first + last) // 2
+        places, middle = self.feasible.thresholds, (first + last) // 2
         charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
         numbers, bound = sorted(self.tried), 0.0
         nearest = min(numbers, key=lambda number: abs(number - middle))
@@ -600,7 +600,7 @@ class _TailMeanSearch:
         prices = [] if all(slack) else [max(self._kappa(middle), self.target)]
         for kappa in dict.fromkeys(prices + [self.target] * any(slack)):
             guess = _Guess(kappa, self.tried[nearest].prices, kappa <= self.target)
-            bound = max(bound, self.question.refuted_below(charge, guess))
+            bound = max(bound, self.feasible.charge_bound(charge, guess))
             self.sweeps += 1
             if bound >= self.target:
                 break
@@ -617,13 +617,13 @@ class _TailMeanSearch:
         kappas = [self.kappas[number] for number in numbers]
         return float(np.interp(threshold, numbers, kappas)) if numbers else 0.0
 
-    def run(self, near: Near | None = None) -> tuple[Answer, float]:
+    def run(self, hint: Hint | None = None) -> tuple[Answer, float]:
         """Run the search; return the best policy and a lower bound for every policy.
 
         Args:
-            near: a guess of the best threshold and of the price of failure there, or None.
+            hint: a guess of the best threshold and of the price of failure there, or None.
         """
-        places, options = self.question.thresholds, self.options
+        places, options = self.feasible.thresholds, self.options
         rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
         best = self.attempt(0, rough if self.level > 0.0 else options)
         if self.level > 0.0 and self.tried[0].lower_bound < self.target and not is_late():
@@ -632,8 +632,8 @@ class _TailMeanSearch:
         whole = self.tried[0].lower_bound
         if self.level == 0.0:
             return best, max(whole, 0.0)  # the mean: the least threshold is optimal
-        if near is not None:
-            self.kappas.setdefault(places.number(near[0]), near[1])
+        if hint is not None:
+            self.kappas.setdefault(places.number(hint[0]), hint[1])
         elif self.quantile > 0 and self.tried[0].value > 0.0:  # in proportion to the value
             dearest = self.kappas[0] / self.tried[0].value
             self.kappas[self.quantile] = dearest * best.value
@@ -668,7 +668,7 @@ class _TailMeanSearch:
             before: number of the next tried threshold.
             bounds: bounds of settled thresholds; updated.
         """
-        places, bound = self.question.thresholds, self.tried[after].lower_bound
+        places, bound = self.feasible.thresholds, self.tried[after].lower_bound
         between, fall = 1 if places.sharp else 0, self.level / (1.0 - self.level)
         begin, final = places.total(after), before - between
         end = min(begin + max(bound - self.target, 0.0) / fall, places.total(final))
@@ -709,11 +709,11 @@ class _TailMeanSearch:
             weakest: heap of bound, first and last threshold of each interval; updated.
             bounds: bounds of settled thresholds; updated.
         """
-        places, (bound, first, final) = self.question.thresholds, weakest[0]
+        places, (bound, first, final) = self.feasible.thresholds, weakest[0]
         if self.best is not None and places.total(first) >= self.best.value:
             heappop(weakest)
             return  # as F(z) >= z
-        bound = max(bound, self.refuted(first, final))
+        bound = max(bound, self.bound_between(first, final))
         if bound >= self.target:
             heapreplace(weakest, (bound, first, final))
         elif first == final:
@@ -730,21 +730,21 @@ class _TailMeanSearch:
 
 
 def least_tail_mean(
-    problem: Problem, question: _Question, options: SolveOptions, near: Near | None = None
+    problem: Problem, feasible: _Feasible, options: SolveOptions, hint: Hint | None = None
 ) -> Solution:
     """Minimise the conditional value at risk, with a proof for all thresholds.
 
     Args:
         problem: the problem.
-        question: the feasible policies.
+        feasible: the feasible policies.
         options: method, tolerance and limits.
-        near: a guess of the best threshold and of the price of failure there, or None.
+        hint: a guess of the best threshold and of the price of failure there, or None.
     """
-    search = _TailMeanSearch(problem, question, _risk_of(problem).level, options)
-    best, bound = search.run(near)
+    search = _TailMeanSearch(problem, feasible, _risk_of(problem).level, options)
+    best, bound = search.run(hint)
     sweeps = f", {search.sweeps} sweeps over intervals" if search.sweeps else ""
     reason = f"{len(search.tried)} thresholds, {search.calls} pricing calls{sweeps}"
-    price = None if question.budget is None else best.price
-    note = "; ".join(filter(None, (question.note, CUT_SHORT if is_late() else "")))
+    price = None if feasible.budget is None else best.price
+    note = "; ".join(filter(None, (feasible.note, CUT_SHORT if is_late() else "")))
     answer = replace(best, bound=min(bound, best.value), price=price, note=note)
     return assembled(problem, answer, Run(options.method, reason, search.calls, 0.0))

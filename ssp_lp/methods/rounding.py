@@ -54,15 +54,15 @@ from ssp_lp.methods.columns import (
     cheapest_at_least_failure,
     refined_optimum,
 )
-from ssp_lp.methods.incumbent import Incumbent, worth_bound
+from ssp_lp.methods.incumbent import Incumbent, cheapest_way_bound
 from ssp_lp.methods.refinement import Optimum, Proved, refine
-from ssp_lp.methods.risk import Near, least_risk, question_of_compiled
+from ssp_lp.methods.risk import Hint, feasible_compiled, least_risk
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import dead_ends, goal_approach, kept
+from ssp_lp.model.graph import dead_ends, goal_approach, stored_with_model
 from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, Restated, TotalScale, compiled_constrained
+from ssp_lp.problem import Problem, RestatedProblem, TotalScale, compiled_constrained
 from ssp_lp.processes.live_rows import uniform_cost
 from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
@@ -299,13 +299,13 @@ def _true_columns(problem: Problem, outcome: Optimum[Any]) -> list[Column]:
         for column in generated.columns[1:] if len(columns) == 1 else ():
             columns.append(_true_column(problem, outcome, pricing.policy(column), column))
         for factor in _BESIDE:
-            within = [_keeps_to_budget(column, row) for column in columns]
+            within = [_satisfies_budget(column, row) for column in columns]
             if is_late() or (any(within) and (one_sided or not all(within))):
                 break
             price = outcome.kappa / factor if any(within) else outcome.kappa * factor
             last = pricing.minimise(price, last)
             columns.append(_true_column(problem, outcome, pricing.policy(last), last))
-    if search.stop and not any(_keeps_to_budget(column, row) for column in columns):
+    if search.stop and not any(_satisfies_budget(column, row) for column in columns):
         raise search.stop
     return columns
 
@@ -394,14 +394,14 @@ def _columns_beside(problem: Problem, outcome: Optimum[Any], shift: float) -> li
             if policy is None:
                 continue
             columns.append(_true_column(problem, outcome, policy))
-            if _keeps_to_budget(columns[-1], row) != above:
+            if _satisfies_budget(columns[-1], row) != above:
                 break
     return columns
 
 
-def _keeps_to_budget(column: Column, row: FailureRow) -> bool:
+def _satisfies_budget(column: Column, row: FailureRow) -> bool:
     """Return whether an evaluated policy satisfies the budget, up to rounding."""
-    return row.spare(column) >= -_ROUNDING * min(row.budget, 1.0 - row.budget)
+    return row.slack(column) >= -_ROUNDING * min(row.budget, 1.0 - row.budget)
 
 
 _WIDEST = 1_000.0  # largest ratio of two step costs for split costs
@@ -416,7 +416,7 @@ _FEWER = 4.0  # least ratio of the unit of most costs to the unit; its square fo
 _MOSTLY = 0.95  # share of the outcomes whose costs define the unit of most costs
 
 
-@kept
+@stored_with_model
 def _unit_of_steps(model: SSP) -> tuple[float, float, Fraction, Fraction]:
     """Return the least and the mean positive step cost, and two units.
 
@@ -589,14 +589,14 @@ def _unit_of(outcome: Optimum[Any]) -> Fraction:
 
 
 def _solved_on_lattice(
-    problem: Restated, options: SolveOptions, near: Near | None = None
+    problem: RestatedProblem, options: SolveOptions, hint: Hint | None = None
 ) -> Solution:
     """Solve a problem with rounded costs, all of whose totals are multiples of one unit."""
     if problem.semantics.risk is None:
         solved = cheapest_at_least_failure if problem.failure_budget is None else best_within_budget
         return solved(problem, options)
-    question = question_of_compiled(problem.compile(), problem.failure_budget)
-    return least_risk(problem, options, question, near)
+    question = feasible_compiled(problem.compile(), problem.failure_budget)
+    return least_risk(problem, options, question, hint)
 
 
 def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
@@ -614,9 +614,9 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
     maximised, charge = problem.semantics.maximises, problem.semantics.charge(problem.ratio)
     attained, note = best.objective, best.note
     bound = best.lower_bound if best.upper_bound is None else best.upper_bound
-    if charge is not None and charge.settled is None and not is_late():
+    if charge is not None and charge.affine_from_total is None and not is_late():
         with WithIncumbent():  # also beyond the cap
-            attained = problem.semantics.worth_of(measured_costs(best.policy, problem))
+            attained = problem.semantics.value_of_law(measured_costs(best.policy, problem))
     if two_sided_gap(attained, bound) > options.tolerance and not is_late():
         unit = cast("CostAwarePolicy", best.policy.policies[0]).unit
         more = "a finer unit would need too many levels"
@@ -637,17 +637,17 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
     """Yield, for each unit, the best policy so far (costs rounded up), and the best bound."""
     best, semantics, risk = None, problem.semantics, problem.semantics.risk
     sign = -1.0 if semantics.maximises else 1.0
-    bound, span = worth_bound(problem), span_of_totals(problem)
+    bound, span = cheapest_way_bound(problem), span_of_totals(problem)
     for unit in rounding_units(problem, span):
         rough = float(unit) / span if best is None else _SHARE * best.gap
         finer = replace(options, tolerance=max(options.tolerance, rough))
-        near = None  # where a search for a risk may begin, from the policy of coarser costs
+        hint = None  # where a search for a risk may begin, from the policy of coarser costs
         if best is not None and risk is not None:
             quantile = measured_costs(best.policy, problem).quantile(risk.level)
             price = best.failure_price
-            near = quantile, 0.0 if price is None else price + best.objective
+            hint = quantile, 0.0 if price is None else price + best.objective
         # the optimal policy of costs rounded up, on the model itself
-        solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, near)
+        solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, hint)
         members = tuple(_rounding_up(p, problem.model, unit) for p in solution.policy.policies)
         policy = MixedPolicy(members, solution.policy.weights)
         solution = replace(solution, policy=policy, value_function=None)
@@ -659,7 +659,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
         if best is None or sign * solution.objective < sign * best.objective:
             best = solution
         with WithIncumbent():
-            proved = lattice_bound(problem, unit, finer, near)[0]
+            proved = lattice_bound(problem, unit, finer, hint)[0]
             bound = sign * max(sign * bound, sign * proved)
         best = replace(best, lower_bound=bound, upper_bound=bound if semantics.maximises else None)
         yield best
@@ -667,7 +667,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[Solut
 
 def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> Iterator[Proved]:
     """Yield, for finer and finer units, the best bound so far (costs rounded down)."""
-    sign, bound = -1.0 if problem.semantics.maximises else 1.0, worth_bound(problem)
+    sign, bound = -1.0 if problem.semantics.maximises else 1.0, cheapest_way_bound(problem)
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
         proved, allowed = lattice_bound(problem, unit, rough)
         bound = sign * max(sign * bound, sign * proved)
@@ -678,7 +678,7 @@ def lattice_bound(
     problem: Problem,
     unit: Fraction,
     options: SolveOptions,
-    near: Near | None = None,
+    hint: Hint | None = None,
 ) -> tuple[float, float]:
     """Return the bound of the optimum by costs rounded down to multiples of a unit.
 
@@ -686,13 +686,13 @@ def lattice_bound(
         problem: the problem.
         unit: unit of the rounded costs.
         options: tolerance and limits.
-        near: a first threshold of a risk measure and a price of failure there, or None.
+        hint: a first threshold of a risk measure and a price of failure there, or None.
 
     Returns:
         The bound, and the largest failure of the policies for which it holds.
     """
     rounded, budget = _with_rounded_costs(problem, unit, up=False), problem.failure_budget
-    solution = _solved_on_lattice(rounded, options, near)
+    solution = _solved_on_lattice(rounded, options, hint)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
     return bound, solution.budget_used if budget is None else max(budget, solution.budget_used)
 
@@ -716,7 +716,7 @@ def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     return CostAwarePolicy(model, float(unit), position, pair[None, :], never, rounds_up=True)
 
 
-def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restated:
+def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> RestatedProblem:
     """Return the problem with each cost rounded to a multiple of a unit, up or down."""
     model = problem.model
     kinds, kind = np.unique(model.costs, return_inverse=True)
@@ -727,7 +727,7 @@ def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restat
         whole = np.minimum(whole, np.ceil(float(charge.bound) / float(unit)) + 2.0)
     costs = totals_of(whole.astype(np.int64), unit)[kind]
     rounded = replace(model, costs=read_only(costs), exact_costs={})
-    return Restated(
+    return RestatedProblem(
         rounded, problem.start, problem.ratio, problem.failure_budget, problem.semantics
     )
 
@@ -785,5 +785,5 @@ def span_of_totals(problem: Problem, dearest: float | None = None) -> float:
     if isinstance(charge, WithinBound) and charge.bound > 0.0:
         return float(charge.bound)
     typical = _TYPICAL * compiled_constrained(problem).facts.typical_cost
-    settled = 0.0 if charge is None else charge.settled or 0.0
+    settled = 0.0 if charge is None else charge.affine_from_total or 0.0
     return max(typical, dearest / _RARE, settled) or 1.0

@@ -64,7 +64,7 @@ from ssp_lp.options import CERTIFYING, Game, SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, Restated, compiled_constrained
+from ssp_lp.problem import Problem, RestatedProblem, compiled_constrained
 from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import (
     RARE_GOAL,
@@ -100,8 +100,8 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
     stated = compiled_constrained(problem).counting_rare_success(problem.failure_budget)
     try:
         optimum = rows_optimum(stated, options, true_figures(problem, stated))
-        is_rare = is_rarely_reached(stated, 1.0 - optimum.failure)
-        if is_rare or _may_be_rarer(stated, optimum, options):
+        is_rare = is_success_rare(stated, 1.0 - optimum.failure)
+        if is_rare or _success_may_be_rare(stated, optimum, options):
             stated = replace(stated, by_goal=True)
             truth = true_figures(problem, stated)
             again = rows_optimum(stated, options.after(optimum.calls), truth)
@@ -125,7 +125,7 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
     return assembled(problem, optimum, run, compiled.sense)
 
 
-def _may_be_rarer(
+def _success_may_be_rare(
     stated: CompiledExplicit, optimum: Optimum[CompiledExplicit], options: SolveOptions
 ) -> bool:
     """Return whether counting success directly gives a better optimum than counting 1 - failure.
@@ -145,7 +145,7 @@ def _may_be_rarer(
     return not rarer.granted and rarer.value < optimum.value * (1.0 - options.tolerance)
 
 
-def is_rarely_reached(stated: CompiledExplicit, goal: float) -> bool:
+def is_success_rare(stated: CompiledExplicit, goal: float) -> bool:
     """Return whether success must be counted directly, because 1 - failure would lose its digits.
 
     Args:
@@ -178,7 +178,7 @@ def rows_optimum(
     if stated.resolution is not None and stated.charge is not None:
         coarse = stated.at_resolution(Resolution(grid=_COARSE_TOTALS, most=_COARSE_TOTALS))
         guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
-        lossless = stated.charge.lossless(guess.kappa)  # failing is optimal from there on
+        lossless = stated.charge.lossless_total(guess.kappa)  # failing is optimal from there on
         stated = stated.at_resolution(stated.resolution.up_to(lossless))
     try:
         attempts = finer_optima(
@@ -220,7 +220,7 @@ def _rows_attempt(
 ) -> Optimum[CompiledExplicit]:
     """Return the optimum of one search within the rows, with a bound proved at the final prices.
 
-    A search whose cap is only a guess (``is_trial``) ends at a coarse gap; its bound is proved only
+    A search whose cap is only a guess (``is_guess``) ends at a coarse gap; its bound is proved only
     if there is a time limit.
 
     Args:
@@ -229,29 +229,29 @@ def _rows_attempt(
         truth: evaluates policies on the model if the process has accumulated cost, else None.
         before: optimum on a coarser process, whose lottery or prices start the search, or None.
     """
-    finer, rough = _FINER if stated.sense.constant else 1.0, TRIAL_TOLERANCE * stated.is_trial
+    finer, rough = _FINER if stated.sense.constant else 1.0, TRIAL_TOLERANCE * stated.is_guess
     options = replace(options, tolerance=max(finer * options.tolerance, rough))
     program: ProgramOptimum | None = None
-    taken_on = None if before is None else _taken_on(before.search, stated.pricing())
+    taken_on = None if before is None else _continued_search(before.search, stated.pricing())
     compiled, rule = opened(stated, options) if taken_on is None else (stated, taken_on)
     if before is not None and taken_on is None and np.isfinite(before.value):
-        rule = search_begun_at(compiled, rule, before.value, before.prices)
+        rule = search_from_prices(compiled, rule, before.value, before.prices)
     if options.program is not None:
-        program, rule = search_begun_at_duals(compiled, rule, options)
+        program, rule = search_from_duals(compiled, rule, options)
     generated = best_lottery(compiled, rule, options)
     pool, rows, ratio = rule.pool, rule.rows, generated.ratio
-    cost, failure, value = float(generated.figures[0]), generated.failure, generated.objective
-    size = abs(cost) + ratio * abs(float(generated.figures[1]))
+    cost, failure, value = float(generated.rewards[0]), generated.failure, generated.objective
+    size = abs(cost) + ratio * abs(float(generated.rewards[1]))
     if program is not None and generated.finished:
         check_agreement(program, value)
     prices = without_negligible_prices(generated.prices, pool.sizes(rows), size)
-    bound, values, is_proved = 0.0, None, not stated.is_trial or is_limited()
+    bound, values, is_proved = 0.0, None, not stated.is_guess or is_limited()
     if is_proved:
-        values = compiled.pricing().anything
+        values = compiled.pricing().infinite
         with WithIncumbent(), closing():  # without time left the values stay infinite
             bound, proof = rows_bound(compiled, rows, prices, pool.proved)
             values = read_only(proof.values)
-    policy, taken = generated.lottery(compiled.pricing()), generated.figures[rows.index].tolist()
+    policy, taken = generated.lottery(compiled.pricing()), generated.rewards[rows.index].tolist()
     taken = dict(zip(names_of(compiled, rows), taken, strict=True))
     if truth is not None and compiled.is_rounded:
         value = np.inf
@@ -268,7 +268,7 @@ def _rows_attempt(
     named |= zip(names_of(compiled, rows), prices.tolist(), strict=True)
     if compiled.budget is None:  # with least failure there is no price of failure
         del named[FAILURE_ROW]
-    granted, note = _granted(compiled, rows, generated.finished)
+    granted, note = _raised_bounds(compiled, rows, generated.finished)
     paid = float(prices @ np.abs(rows.bounds))
     budget = 1.0 if compiled.budget is None else compiled.budget
     return Optimum(
@@ -282,7 +282,7 @@ def _rows_attempt(
         sense=compiled.sense,
         policy=policy,
         value=value,
-        bound=compiled.sense.settled_bound(value, least_of(bound, value), paid),
+        bound=compiled.sense.bound_or_value(value, least_of(bound, value), paid),
         failure=failure,
         price=named.get(FAILURE_ROW),
         prices=named,
@@ -303,7 +303,7 @@ def _true_value(generated: Generated, compiled: CompiledExplicit) -> float | Non
     return cost / generated.goal if compiled.ratio else cost
 
 
-def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
+def _continued_search(search: Master, pricing: PricingProblem) -> Master | None:
     """Return a master that continues a search on a process with a higher cap.
 
     Only the costs of policies depend on the cap, not their failure or their activity in a row. So
@@ -313,14 +313,14 @@ def _taken_on(search: Master, pricing: PricingProblem) -> Master | None:
         search: the master of the search with the lower cap.
         pricing: the pricing problem with the higher cap.
     """
-    known = pricing.taken_on(search.lottery[0])
+    known = pricing.reevaluated(search.lottery[0])
     if known is None:
         return None
     pool, ratio = Pool(pricing, known), search.given_success
-    return Master(pool, search.rows, search.prices, given_success=ratio, luck=search.luck)
+    return Master(pool, search.rows, search.prices, given_success=ratio, floor=search.floor)
 
 
-def _granted(
+def _raised_bounds(
     compiled: CompiledExplicit, rows: Rows, finished: bool
 ) -> tuple[dict[str, float], str]:
     """Return the bounds that phase 1 raised, and a note if it raised any or the search was stopped.
@@ -359,14 +359,14 @@ Truth = tuple[Callable[[MixedPolicy], float], Callable[[Policy], FloatArray]]
 lottery, and the cost, failure and rows of one policy."""
 
 
-def best_lottery(compiled: CompiledExplicit, opened: Master, options: SolveOptions) -> Generated:
+def best_lottery(compiled: CompiledExplicit, master: Master, options: SolveOptions) -> Generated:
     """Return the best lottery within the limits: phase 2, from the master that phase 1 returned.
 
     Raises:
         InfeasibleError: case S, and no policy within the limits reaches the goal.
         SolverError: the time limit was reached before a policy that reaches the goal was found.
     """
-    generated = generate(opened, options)
+    generated = generate(master, options)
     if not np.isfinite(generated.objective):
         if not generated.finished:
             raise SolverError("no policy that reaches the goal was found within the time limit")
@@ -395,17 +395,17 @@ def true_lottery(
         rows: the limited rows.
         pool: policies of the rounded process.
         weights: weights of the rewards that rank these policies, [rewards].
-        figures: returns the cost, failure and rows of a policy on the model, [rewards].
+        rewards: returns the cost, failure and rows of a policy on the model, [rewards].
 
     Returns:
         None if no lottery satisfies the rows and reaches the goal: the grid is too coarse.
     """
-    pricing, order = compiled.pricing(), np.argsort(weights @ pool.figures, kind="stable")
+    pricing, order = compiled.pricing(), np.argsort(weights @ pool.rewards, kind="stable")
     best, points = pool.columns[int(order[0])], [pool.columns[k] for k in order[:_MOST].tolist()]
     if not compiled.ratio and rows.index.size == 0:
         points = [best]
     else:  # steeper prices give policies that offset a violation by rounding
-        worth = weights[0] * float(best.figures @ weights)
+        worth = weights[0] * float(best.rewards @ weights)
         least = np.where(rows.bounds > 0.0, worth / rows.scales, 0.0)
         for factor in _STEEPER:
             steeper = weights.copy()
@@ -413,14 +413,14 @@ def true_lottery(
             points.append(pricing.minimise(steeper, best))
     by_goal = compiled.by_goal
     measured = [
-        Column.of_figures(figures(policy), None, by_goal=by_goal, policy=policy)
+        Column.of_rewards(figures(policy), None, by_goal=by_goal, policy=policy)
         for policy in map(pricing.policy, points)
     ]
-    luck = _luck(compiled)
-    return lottery_within(pricing, measured, rows, ratio=compiled.ratio, luck=luck)
+    luck = _goal_floor(compiled)
+    return lottery_within(pricing, measured, rows, ratio=compiled.ratio, floor=luck)
 
 
-def _luck(compiled: CompiledExplicit) -> float:
+def _goal_floor(compiled: CompiledExplicit) -> float:
     """Return the goal probability that may be an artefact of a limit's tolerance.
 
     Lotteries of at most this goal probability do not count as reaching the goal.
@@ -448,14 +448,14 @@ def true_figures(
         return None
     plain = problem.unrolled
     asked = (plain.start, plain.ratio, plain.failure_budget, plain.semantics)
-    unlimited = Restated(plain.model, *asked, discount=plain.discount)
+    unlimited = RestatedProblem(plain.model, *asked, discount=plain.discount)
 
     def own_value(policy: MixedPolicy) -> float:
         """Return the minimised value of a lottery, from its objective.
 
-        ``worth`` converts in both directions, since ``constant - value`` is its own inverse.
+        ``stated`` converts in both directions, since ``constant - value`` is its own inverse.
         """
-        return stated.sense.worth(evaluate(policy, unlimited).objective)
+        return stated.sense.stated(evaluate(policy, unlimited).objective)
 
     def figures(policy: Policy) -> FloatArray:
         """Return cost, failure and rows of one policy, [rewards]."""
@@ -484,16 +484,16 @@ def opened(stated: CompiledExplicit, options: SolveOptions) -> tuple[CompiledExp
     failure is not computed if a policy of phase 1 fails less often than the budget allows.
     """
     if not (stated.limits_failure and stated.is_whole):
-        compiled = stated.settled()
+        compiled = stated.at_least_failure()
         return compiled, phase_one(compiled, stated, options)
     try:
         search = phase_one(stated, stated, options)
     except (InfeasibleError, SolverError):
-        compiled = stated.settled()
+        compiled = stated.at_least_failure()
         if compiled is stated:
             raise
     else:
-        compiled = stated.settled(*search.pool.columns)
+        compiled = stated.at_least_failure(*search.pool.columns)
         if compiled is stated:
             return stated, search
     return compiled, phase_one(compiled, stated, options)
@@ -521,31 +521,31 @@ def phase_one(
     """
     pricing = compiled.pricing()
     pool = Pool(pricing, [pricing.first()])
-    cheapest = pool.priced(np.eye(1, pricing.n_rewards)[0])
+    cheapest = pool.minimise(np.eye(1, pricing.n_rewards)[0])
     pool.add(cheapest)
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
     rows = pool.rows(1 + limited, compiled.bounds[limited])
     elastic = Master(pool, rows, np.zeros(limited.size), elastic=True)
-    ended = generate(elastic, options)
-    if not _kept_to(ended, rows):
-        ended = _without_traces(ended, rows)
-    if _kept_to(ended, rows):
-        raised = rows.bounds + np.maximum(ended.excess, 0.0) * rows.scales
-        ratio = pool.first_ratio(ended) if compiled.ratio else 0.0
+    generated = generate(elastic, options)
+    if not _satisfies_rows(generated, rows):
+        generated = _without_tiny_weights(generated, rows)
+    if _satisfies_rows(generated, rows):
+        raised = rows.bounds + np.maximum(generated.excess, 0.0) * rows.scales
+        ratio = pool.first_ratio(generated) if compiled.ratio else 0.0
         return Master(
             pool,
             replace(rows, bounds=raised, ratio=ratio),
             np.zeros(limited.size),
             cheapest.cost,
             given_success=compiled.ratio,
-            luck=_luck(compiled),
+            floor=_goal_floor(compiled),
         )
     if compiled.budget is None and stated.budget is not None:
         anyhow = replace(stated, budget=1.0)
         phase_one(anyhow, anyhow, options)  # raises if the limits conflict at any failure
     with closing():
-        first = _proved_conflict(pool, rows, ended)
-    if first is None and not ended.finished:
+        first = _proved_conflict(pool, rows, generated)
+    if first is None and not generated.finished:
         raise Stop
     if first is None:
         raise SolverError(
@@ -570,7 +570,7 @@ def _infeasible(
     """Return the InfeasibleError that names the conflicting rows and the least failure."""
     at_least, budget = compiled.budget is None, stated.budget
     places = (rows.index[list(conflict.rows)] - 1).tolist()
-    named, names = [compiled.names[k] for k in places], [compiled.told[k] for k in places]
+    named, names = [compiled.names[k] for k in places], [compiled.texts[k] for k in places]
     every = "every policy of least failure" if at_least else "every policy"
     both = conflict.least, conflict.allowed
     side = compiled.side[places[0] - 1] if len(places) == 1 and places[0] > 0 else None
@@ -657,28 +657,28 @@ def _irreducible_conflict(
         part = replace(rows, index=rows.index[kept], bounds=bounds, scales=scales)
         elastic = Master(pool, part, np.zeros(len(rest)), elastic=True)
         ended = generate(elastic, options)
-        smaller = None if _kept_to(ended, part) else _proved_conflict(pool, part, ended)
+        smaller = None if _satisfies_rows(ended, part) else _proved_conflict(pool, part, ended)
         if smaller is not None:
             conflict = smaller._replace(rows=tuple(rest[k] for k in smaller.rows))
     return conflict
 
 
-def _kept_to(ended: Generated, rows: Rows) -> bool:
+def _satisfies_rows(generated: Generated, rows: Rows) -> bool:
     """Return whether phase 1 ended with every row satisfied within its tolerance."""
-    return bool((ended.excess * rows.scales <= ATTAINABLE * np.abs(rows.bounds)).all())
+    return bool((generated.excess * rows.scales <= ATTAINABLE * np.abs(rows.bounds)).all())
 
 
-def _without_traces(ended: Generated, rows: Rows) -> Generated:
+def _without_tiny_weights(generated: Generated, rows: Rows) -> Generated:
     """Return the result of phase 1 without members of negligible weight.
 
     Phase 1 may give a member a negligible weight to satisfy one row to its last digit, although the
     member violates another row.
     """
-    weights = np.where(ended.weights > _TRACE, ended.weights, 0.0)
+    weights = np.where(generated.weights > _TRACE, generated.weights, 0.0)
     weights /= weights.sum()
-    taken = weights @ np.stack([column.figures[rows.index] for column in ended.columns])
+    taken = weights @ np.stack([column.rewards[rows.index] for column in generated.columns])
     excess = np.maximum(taken - rows.bounds, 0.0) / rows.scales
-    return replace(ended, weights=weights, excess=excess)
+    return replace(generated, weights=weights, excess=excess)
 
 
 def names_of(compiled: CompiledExplicit, rows: Rows) -> list[str]:
@@ -686,7 +686,7 @@ def names_of(compiled: CompiledExplicit, rows: Rows) -> list[str]:
     return [compiled.names[index - 1] for index in rows.index.tolist()]
 
 
-def search_begun_at(
+def search_from_prices(
     compiled: CompiledExplicit, rule: Master, ratio: float, prices: Mapping[str, float]
 ) -> Master:
     """Return a master with other first prices of the rows and, in case S, another first ratio.
@@ -702,7 +702,7 @@ def search_begun_at(
     return replace(rule, rows=rows, prices=begun, bound=0.0)
 
 
-def search_begun_at_duals(
+def search_from_duals(
     compiled: CompiledExplicit, rule: Master, options: SolveOptions
 ) -> tuple[ProgramOptimum, Master]:
     """Solve the full linear program; return its optimum, and a master with its duals as prices."""
@@ -713,11 +713,11 @@ def search_begun_at_duals(
     limits = {name: (pricing.rewards[:, index], bound) for name, index, bound in limited}
     process = replace(pricing.process, cost=np.ascontiguousarray(pricing.rewards[:, 0]))
     program = solve_program(process, limits, options, ratio=compiled.ratio)
-    rule = search_begun_at(compiled, rule, program.objective, program.prices)
+    rule = search_from_prices(compiled, rule, program.objective, program.prices)
     weights = rule.rows.weights(rule.prices)
-    column = rule.pool.priced(weights)
+    column = rule.pool.minimise(weights)
     rule.pool.add(column)
-    bound = float(column.figures @ weights) - float(rule.prices @ rows.bounds)
+    bound = float(column.rewards @ weights) - float(rule.prices @ rows.bounds)
     return program, replace(rule, bound=bound)
 
 
@@ -763,7 +763,7 @@ def rows_bound(
     """
     if not compiled.ratio:
         proof = prove(rows.weights(prices))
-        proved = _excess_over_paid(compiled, rows, prices, proof) + compiled.sense.shift
+        proved = _lagrangian_excess(compiled, rows, prices, proof) + compiled.sense.shift
         lowest = -1.0 if compiled.sense.constant == 0.0 and compiled.by_goal else 0.0
         return max(proved, lowest), proof  # else it is a sum of terms of at least 0
     proofs: list[tuple[float, float, Proof]] = []
@@ -777,7 +777,7 @@ def rows_bound(
     for ratio in (rows.ratio, rows.ratio * BELOW_RATIO):
         at = replace(rows, ratio=ratio)
         proof = prove(at.weights(prices))
-        proofs.append((ratio, _excess_over_paid(compiled, at, prices, proof), proof))
+        proofs.append((ratio, _lagrangian_excess(compiled, at, prices, proof), proof))
         if relative_gap(rows.ratio, (bound := best(least_goal or 0.0))[0]) <= _CLOSE:
             return bound
     if least_goal is None and relative_gap(rows.ratio, bound[0]) > RELATIVE_GAP:
@@ -785,7 +785,7 @@ def rows_bound(
     return bound
 
 
-def _excess_over_paid(
+def _lagrangian_excess(
     compiled: CompiledExplicit, rows: Rows, prices: FloatArray, proof: Proof
 ) -> float:
     """Return a lower bound of ``cost + prices @ (activity - bounds)`` minus a constant.
@@ -805,7 +805,7 @@ def _excess_over_paid(
     beyond = lagrange_bound(proof.bound, prices, rows.bounds) - paid
     if paid > 0.0 and beyond < 0.0:
         weights = replace(rows, ratio=0.0).weights(prices)
-        less = compiled.pricing().check_less(weights, rows.ratio, paid, proof.values)
+        less = compiled.pricing().bound_less_constant(weights, rows.ratio, paid, proof.values)
     return max(beyond, lagrange_bound(less, prices, rows.bounds))
 
 
@@ -847,7 +847,7 @@ def bound_at(
     pool = Pool(compiled.pricing(), [compiled.pricing().first()])
     rows = replace(limited_rows(compiled), ratio=ratio)
     multipliers = np.array([prices.get(name, 0.0) for name in names_of(compiled, rows)])
-    pool.add(pool.priced(rows.weights(multipliers)))
+    pool.add(pool.minimise(rows.weights(multipliers)))
     return rows_bound(compiled, rows, multipliers, pool.proved, least_goal)[0]
 
 
@@ -859,9 +859,9 @@ def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved
     """
     stated, values = compiled_constrained(solution.problem), solution.value_function
     stated = stated.counting_rare_success(solution.problem.failure_budget)
-    if is_rarely_reached(stated, evaluation.limited_goal):
+    if is_success_rare(stated, evaluation.limited_goal):
         stated = replace(stated, by_goal=True)
-    compiled = stated.settled()
+    compiled = stated.at_least_failure()
     if values is None:
         raise ModelError("the solution has no value function to certify: solve the problem again")
     if not np.isfinite(evaluation.objective):

@@ -232,7 +232,7 @@ def forced(low: FloatArray, high: FloatArray, chosen: BoolArray, offsets: IntArr
 
 
 def greatest_mean(
-    low: FloatArray, high: FloatArray, worth: FloatArray, offsets: IntArray
+    low: FloatArray, high: FloatArray, values: FloatArray, offsets: IntArray
 ) -> FloatArray:
     """Return the distribution of each group that has the greatest mean of given values, [entries].
 
@@ -243,10 +243,10 @@ def greatest_mean(
     Args:
         low: least probability of each entry, [entries].
         high: greatest probability of each entry, [entries].
-        worth: value of each entry, [entries].
+        values: value of each entry, [entries].
         offsets: group k has the entries ``offsets[k] : offsets[k + 1]``, [groups + 1].
     """
-    order, lengths = np.lexsort((-worth, segment_ids(offsets))), np.diff(offsets)
+    order, lengths = np.lexsort((-values, segment_ids(offsets))), np.diff(offsets)
     chosen, missing = np.array(low), 1.0 - segment_sums(low, offsets)
     for place in range(int(lengths.max(initial=0))):
         some = np.flatnonzero(lengths > place)

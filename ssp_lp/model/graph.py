@@ -126,7 +126,7 @@ def possible_steps(
     return offsets_of(kept.view(np.int8))[outcome_offsets], successors[kept]
 
 
-def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
+def stored_with_model(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
     """Decorate a function of a model so that its result is computed once and stored with the model.
 
     Arrays in the result become read-only.
@@ -134,7 +134,7 @@ def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
 
     @wraps(find)
     def _fact(model: SSP) -> Fact:
-        facts = model.kept_facts
+        facts = model.cached_facts
         if find.__name__ not in facts:
             check_time()
             fact = find(model)
@@ -148,7 +148,7 @@ def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
     return _fact
 
 
-@kept
+@stored_with_model
 def hopeless_states(model: SSP) -> BoolArray:
     """Return the states from which no policy reaches the goal, X_{d,all}, [states]."""
     return ~reaching_states(model, model.goal_mask)
@@ -179,7 +179,7 @@ def reaching_states(model: Graph, ends: BoolArray) -> BoolArray:
     return np.asarray(wanted <= 0)
 
 
-@kept
+@stored_with_model
 def attention_states(model: SSP) -> BoolArray:
     """Return the states from which some policy surely avoids the goal, X_{d,or}, [states].
 
@@ -195,7 +195,7 @@ def attention_states(model: SSP) -> BoolArray:
     return np.asarray(~model.goal_mask & (idle | (open_counts > 0)))
 
 
-@kept
+@stored_with_model
 def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
     """Return the states from which some policy reaches the goal with probability one, and a policy.
 
@@ -285,7 +285,7 @@ def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
     return csr_of(weights, columns.astype(offsets.dtype, copy=False), offsets, shape)
 
 
-@kept
+@stored_with_model
 def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
     """Return for each state a pair on a shortest path to a goal, and the length of the path.
 
@@ -300,7 +300,7 @@ def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
 @with_twin
 def nearer_pairs(
     graph: Graph,
-    leaving: BoolArray | None,
+    target_pairs: BoolArray | None,
     usable: BoolArray | None = None,
     distance: IntArray | None = None,
     *,
@@ -313,7 +313,7 @@ def nearer_pairs(
 
     Args:
         graph: graph of a model, or of a process.
-        leaving: mask of the target pairs, [pairs]; None: none.
+        target_pairs: mask of the target pairs, [pairs]; None: none.
         usable: mask of the pairs that may be taken, also as targets, [pairs]; None: all.
         distance: array of zeros that is overwritten with the number of steps before a target pair
             is taken, or until a target state, [states] int32.
@@ -324,10 +324,10 @@ def nearer_pairs(
     """
     before, pair_state, n = graph.predecessors, graph.pair_state, graph.n_states
     choice = np.full(n, -1, dtype=np.int64)
-    if leaving is None:
+    if target_pairs is None:
         taken: IntArray = np.zeros(0, dtype=np.int64) if ends is None else ends.nonzero()[0]
     else:
-        useful = (leaving if usable is None else leaving & usable).nonzero()[0]
+        useful = (target_pairs if usable is None else target_pairs & usable).nonzero()[0]
         begun = useful[run_starts(pair_state[useful])]
         taken = pair_state[begun]
         choice[taken] = begun

@@ -111,7 +111,7 @@ class Exploration:
         """
         self.whole = whole
         self.flat = FlatModel([], whole.cost)
-        self.expanded: list[int] = []  # in the order of expansion
+        self.expanded_policy: list[int] = []  # in the order of expansion
         self.is_goal: list[bool] = []  # and of each state found:
         self.is_expanded: list[bool] = []
         self.cost_bounds: list[float] = []
@@ -124,26 +124,26 @@ class Exploration:
             self.flat.place_of(state)
         self._look_at([0.0] * len(self.flat.states))
 
-    def grow(self, wanted: Iterable[int], most: float) -> None:
+    def grow(self, states: Iterable[int], most: float) -> None:
         """Expand the given states, then others in the order of A*.
 
         The next state is that with the least sum of the cost of its path and its cost bound.
 
         Args:
-            wanted: indices of states.
+            states: indices of states.
             most: number of expanded states at which to stop.
         """
-        self._expand(wanted)
-        while len(self.expanded) < most and self.queue:
+        self._expand(states)
+        while len(self.expanded_policy) < most and self.queue:
             batch = list[int]()
-            size = most - len(self.expanded) if self.whole.is_vectorised else 1
+            size = most - len(self.expanded_policy) if self.whole.is_vectorised else 1
             while self.queue and len(batch) < size:
                 batch.append(heapq.heappop(self.queue)[1])
             self._expand(batch)
 
-    def _expand(self, wanted: Iterable[int]) -> None:
+    def _expand(self, positions: Iterable[int]) -> None:
         """Expand the states with these numbers that are not expanded yet."""
-        here = [k for k in dict.fromkeys(wanted) if not self.is_expanded[k]]
+        here = [k for k in dict.fromkeys(positions) if not self.is_expanded[k]]
         flat, states = self.flat.arrays, self.flat.states
         batches = [here] if self.whole.is_vectorised else [[number] for number in here]
         for numbers in filter(None, batches):
@@ -156,8 +156,8 @@ class Exploration:
                 self.flat.add(state, self.whole.expand(state), goal=False)
             for number in numbers:
                 self.is_expanded[number] = True
-                self.expanded.append(number)
-                end = flat["outcome_offsets"][flat["pair_offsets"][len(self.expanded)]]
+                self.expanded_policy.append(number)
+                end = flat["outcome_offsets"][flat["pair_offsets"][len(self.expanded_policy)]]
                 for k in range(begin, end):
                     if flat["successors"][k] == len(self.is_goal) + len(paid):  # found by it
                         paid.append(self.paid[number] + flat["costs"][k])
@@ -204,14 +204,14 @@ class Exploration:
                 heapq.heappush(self.queue, (spent + self.cost_bounds[-1], number))
 
     def _each(
-        self, told: Callable[[Any], Any] | None, states: list[Any], default: Any
+        self, function: Callable[[Any], Any] | None, states: list[Any], default: Any
     ) -> list[Any]:
         """Return the values of a function at states; ``default`` if there is no function."""
-        if told is None:
+        if function is None:
             return [default] * len(states)
         if not self.whole.is_vectorised:
-            return [told(state) for state in states]
-        answers = np.broadcast_to(told(np.array(states, dtype=np.int64)), len(states))
+            return [function(state) for state in states]
+        answers = np.broadcast_to(function(np.array(states, dtype=np.int64)), len(states))
         return list(answers.tolist())
 
     def _append_many(self, numbers: list[int]) -> None:
@@ -249,8 +249,8 @@ class Exploration:
         """
         is_goal = np.array(self.is_goal, dtype=np.bool_)
         fringe = np.flatnonzero(~np.array(self.is_expanded, dtype=np.bool_))
-        goals, n_expanded = is_goal.nonzero()[0], len(self.expanded)
-        numbers = np.concatenate([np.array(self.expanded, dtype=np.int64), fringe, goals])
+        goals, n_expanded = is_goal.nonzero()[0], len(self.expanded_policy)
+        numbers = np.concatenate([np.array(self.expanded_policy, dtype=np.int64), fringe, goals])
         n_live, n_found = n_expanded + fringe.size, numbers.size
         rows = np.empty(n_found, dtype=np.int64)
         rows[numbers] = np.arange(n_found)
@@ -320,7 +320,7 @@ class Exploration:
         lengths, targets, chances, costs = own.outcomes
         pairs = offsets_of(np.bincount(own.owner, minlength=numbers.size))
         graph, place = Graph(pairs, offsets_of(lengths), targets, chances), np.arange(numbers.size)
-        goals, beyond = place >= n_live, place >= len(self.expanded)
+        goals, beyond = place >= n_live, place >= len(self.expanded_policy)
         hopeful = goals | (beyond & (np.array(self.failure_bounds)[numbers] < 1.0))
         doubtful = reaching_states(graph, hopeful) & ~reaching_states(graph, goals) & ~beyond
         failing = np.flatnonzero(doubtful)

@@ -850,7 +850,7 @@ class SSP(Graph, ReadOnlyCopies):
         return Table([*self._sizes.items()], title=type(self).__name__).html()
 
     @cached_property
-    def kept_facts(self) -> dict[str, Any]:
+    def cached_facts(self) -> dict[str, Any]:
         """Stored facts about the model's graph, by name (``ssp_lp.model.graph``)."""
         return {}
 

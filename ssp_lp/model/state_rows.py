@@ -31,9 +31,9 @@ class Outcomes(NamedTuple):
     probabilities: FloatArray  # [outcomes]
     costs: FloatArray  # one number for all, or [outcomes], or [outcomes, costs]
 
-    def rows(self, wanted: IntArray) -> Outcomes:
+    def rows(self, positions: IntArray) -> Outcomes:
         """Return the outcomes of the pairs at some positions, in the order of the positions."""
-        places, lengths = entries_of(offsets_of(self.lengths), wanted)
+        places, lengths = entries_of(offsets_of(self.lengths), positions)
         costs = self.costs[places] if self.costs.ndim else self.costs
         return Outcomes(lengths, self.successors[places], self.probabilities[places], costs)
 

@@ -56,9 +56,9 @@ class _Reader:
             self.tokens.append((kind, name, start))
         self.tokens.append(("end", "", len(text.rstrip())))
 
-    def _error(self, told: str, position: int) -> ModelError:
+    def _error(self, message: str, position: int) -> ModelError:
         """Return the error at a position of the text, marked by a caret."""
-        return ModelError(f"task: {told}\n  {self.text}\n  {' ' * position}^")
+        return ModelError(f"task: {message}\n  {self.text}\n  {' ' * position}^")
 
     def _takes(self, *signs: str) -> str:
         """Consume and return the next token if it is one of the given operators; else return ""."""

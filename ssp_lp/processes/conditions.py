@@ -97,7 +97,7 @@ class UpperRow:
     """A row ``<coefficients, x> <= bound`` with terms of weights > 0 and a constant >= 0."""
 
     name: str
-    told: str  # description of the limited quantity
+    text: str  # description of the limited quantity
     terms: tuple[tuple[float, Term], ...]
     constant: float
     bound: float

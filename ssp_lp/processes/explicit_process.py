@@ -127,7 +127,7 @@ class Contraction:
         np.minimum.at(result, self.node_of, values)
         return result
 
-    def begun(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
+    def contracted_policy(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
         """Translate a policy of the process to one of the contraction, [nodes].
 
         Each node takes the policy's pair in the member from which this policy needs the fewest
@@ -147,7 +147,7 @@ class Contraction:
         place[self.pairs] = np.arange(len(self.pairs))
         return place[choice[order[first]]]
 
-    def expanded(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
+    def expanded_policy(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
         """Translate a policy of the contraction to one of the process, [states].
 
         Within a free end component the policy moves, at no cost, to the state of the chosen pair.
@@ -290,9 +290,9 @@ def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMin
             settled = iterate_policy(process.dynamics, rewards, weights, leaving)
             choice, totals = settled.choice, settled.totals
         else:
-            begun = smaller.begun(process, leaving)
+            begun = smaller.contracted_policy(process, leaving)
             settled = iterate_policy(smaller.dynamics, rewards[smaller.pairs], weights, begun)
-            choice = smaller.expanded(process, settled.choice)
+            choice = smaller.expanded_policy(process, settled.choice)
             totals = settled.totals[smaller.node_of]
     except SolverError:
         nothing = np.zeros(process.n_states), np.zeros(process.n_pairs)

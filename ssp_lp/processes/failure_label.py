@@ -34,12 +34,12 @@ from ssp_lp.processes.quotient import Quotient, build_quotient
 
 
 @dataclass(frozen=True, eq=False)
-class FailureLabelled:
+class LabelledProcess:
     """The process of case M, and the translation of its policies to the model."""
 
     process: ExplicitProcess
     quotient: Quotient
-    departs: FloatArray  # [quotient pairs] divisors of the rows (see ``live_rows``)
+    escape: FloatArray  # [quotient pairs] divisors of the rows (see ``live_rows``)
 
     @property
     def own_cost(self) -> FloatArray:
@@ -101,7 +101,7 @@ def label_failure(
     side: Sequence[UpperRow] = (),
     objective: UpperRow | None = None,
     quotient: Quotient | None = None,
-) -> FailureLabelled:
+) -> LabelledProcess:
     """Build the process of case M: the states with the failure label.
 
     Args:
@@ -134,14 +134,14 @@ def label_failure(
     to_goal = quotient.at_pairs(successor_means(model, model.goal_mask))
     leaks = np.where(quotient.pair_at >= 0, (1.0 - survival) + survival * to_dead, 1.0)
     rows = quotient.transitions(survival, departing=survival == 1.0)
-    departs = rows.departs
+    escape = rows.escape
     process = ExplicitProcess(
         pair_offsets=quotient.pair_offsets,
         transitions=rows.matrix,
         start=quotient.gather(start),
-        cost=stage / departs,
-        failure=leaks / departs,
-        goal=survival * to_goal / departs,
+        cost=stage / escape,
+        failure=leaks / escape,
+        goal=survival * to_goal / escape,
     )
     check_time()
     process = with_start(process, quotient, start, float(start @ entering))
@@ -151,11 +151,11 @@ def label_failure(
         process = replace(process, cost=process.goal)
     elif semantics.penalty > 0.0 and not semantics.forbids_failing:
         process = replace(process, cost=process.cost + semantics.penalty * process.failure)
-    return FailureLabelled(process, quotient, departs)
+    return LabelledProcess(process, quotient, escape)
 
 
 def counting_of(
-    labelled: FailureLabelled,
+    labelled: LabelledProcess,
     start: FloatArray,
     semantics: FailureSemantics,
     discount: float | None = None,
@@ -168,10 +168,10 @@ def counting_of(
         semantics: semantics of the process.
         discount: discount of the process.
     """
-    process, n_pairs = labelled.process, len(labelled.departs)
+    process, n_pairs = labelled.process, len(labelled.escape)
     ends = process.goal[:n_pairs], process.failure[:n_pairs]
     survival = survival_of(discount)
-    return Counting(labelled.quotient, labelled.departs, *ends, start, semantics, survival)
+    return Counting(labelled.quotient, labelled.escape, *ends, start, semantics, survival)
 
 
 def with_start(

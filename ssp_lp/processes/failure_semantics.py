@@ -109,12 +109,12 @@ class FailureSemantics:
             return None
         return cast("CostQuantileOf | TailMeanOf", self.measure)
 
-    def worth_of(self, law: CostLaw) -> float:
+    def value_of_law(self, law: CostLaw) -> float:
         """Return the measure (the mean, if there is none) of a law of costs of successful runs."""
         return law.conditional_mean if self.measure is None else self.measure.of(law)
 
     @property
-    def failing_worth(self) -> float:
+    def failing_value(self) -> float:
         """Value that the measure gives to a run that fails; 0 without a measure."""
         return 0.0 if self.measure is None else self.measure.failing
 
@@ -137,7 +137,7 @@ class FailureSemantics:
         """
         if self.aim is Aim.GREATEST_GOAL:
             return ObjectiveSense(0.0)
-        return ObjectiveSense(self.failing_worth) if self.maximises else AS_ASKED
+        return ObjectiveSense(self.failing_value) if self.maximises else AS_IS
 
     @property
     def counts_cost_alone(self) -> bool:
@@ -159,21 +159,21 @@ class ObjectiveSense:
     shift: float = 0.0  # added to the charge of every episode, so that no charge is negative
     offset: float = 0.0  # the minimised value minus the stated objective
 
-    def worth(self, value: float) -> float:
+    def stated(self, value: float) -> float:
         """Return the stated objective that belongs to a minimised value."""
         return value - self.offset if self.constant is None else self.constant - value
 
-    def worth_of_bound(self, bound: float) -> float:
+    def stated_bound(self, bound: float) -> float:
         """Return the bound of the stated objective that a bound of the minimised value implies.
 
         If rounding affects it, it is rounded down for a minimum and up for a maximum.
         """
-        worth = self.worth(bound)
+        worth = self.stated(bound)
         if self.constant is None:
             return worth if worth + self.offset == bound else float(np.nextafter(worth, -np.inf))
         return worth if self.constant - worth == bound else float(np.nextafter(worth, np.inf))
 
-    def settled_bound(self, value: float, bound: float, paid: float = 0.0) -> float:
+    def bound_or_value(self, value: float, bound: float, paid: float = 0.0) -> float:
         """Return the bound, or the value if the two differ by rounding only.
 
         Args:
@@ -186,7 +186,7 @@ class ObjectiveSense:
         return value if abs(value - bound) <= 2.0 * ROUNDED * taken else bound
 
 
-AS_ASKED = ObjectiveSense()
+AS_IS = ObjectiveSense()
 
 
 def survival_of(discount: float | None) -> float:
@@ -308,25 +308,25 @@ class GoalShare(float):
     exact demanded probability, which :func:`demanded_goal` returns.
     """
 
-    demanded: float
+    required: float
 
     def __new__(cls, demanded: float) -> GoalShare:
         """Return the budget 1 - demanded, for a demanded goal probability in [0, 1]."""
         budget = super().__new__(cls, 1.0 - demanded)
-        budget.demanded = demanded
+        budget.required = demanded
         return budget
 
     def __getnewargs__(self) -> tuple[float]:
         """Return the arguments from which copies and pickles are made."""
-        return (self.demanded,)
+        return (self.required,)
 
 
-def demanded_goal(budget: float) -> float:
+def required_goal(budget: float) -> float:
     """Return the goal probability that a failure budget demands: 1 - budget.
 
     The result is exact if the budget is a ``GoalShare``.
     """
-    return budget.demanded if isinstance(budget, GoalShare) else 1.0 - budget
+    return budget.required if isinstance(budget, GoalShare) else 1.0 - budget
 
 
 RARE_GOAL = 1e-3
@@ -442,7 +442,7 @@ class Counting:
     """
 
     quotient: Quotient
-    departs: FloatArray  # [pairs] divisors of the rows
+    escape: FloatArray  # [pairs] divisors of the rows
     goal: FloatArray  # [pairs] mass that reaches the goal
     failure: FloatArray  # [pairs] mass that fails
     start: FloatArray  # [states]
@@ -458,7 +458,7 @@ class Counting:
             model: the model with the secondary cost as its cost.
         """
         cost, entering = stage_costs(model, self.quotient, self.semantics, self.survival)
-        return cost / self.departs, float(self.start @ entering)
+        return cost / self.escape, float(self.start @ entering)
 
     def arrivals(self, states: BoolArray) -> tuple[FloatArray, float]:
         """Return the probability that each pair enters some states, [pairs], and that of the start.
@@ -467,7 +467,7 @@ class Counting:
         """
         into = self.quotient.at_pairs(successor_means(self.quotient.model, states))
         ended = states & (self.quotient.node_of < 0)
-        return self.survival * into / self.departs, float(self.start[ended].sum())
+        return self.survival * into / self.escape, float(self.start[ended].sum())
 
     def endings(self) -> tuple[FloatArray, float]:
         """Return the mass of each pair that ends by goal or failure, [pairs], and at the start."""

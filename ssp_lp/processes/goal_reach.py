@@ -44,7 +44,7 @@ class GoalReach:
     goal: FloatArray  # [states] E[gamma^T; goal]; 1 at goals, 0 at dead-ends
     bound: FloatArray  # [states] certified: upper bound of the greatest, lower bound of the least
     decision: IntArray  # [states] one policy that attains it
-    surely: BoolArray  # [model pairs] pairs that attain the extreme by the graph alone
+    sure_pairs: BoolArray  # [model pairs] pairs that attain the extreme by the graph alone
     solved: tuple[Quotient, ExtremeReach] | None = None  # for states that the graph does not decide
 
     def least_failure(self, start: FloatArray) -> float:
@@ -62,9 +62,9 @@ class GoalReach:
     def usable(self) -> BoolArray:
         """Mask of the pairs that attain the optimal goal probability, [model pairs]."""
         if self.solved is None:
-            return self.surely
+            return self.sure_pairs
         quotient, reach = self.solved
-        usable, pairs = self.surely | quotient.inside, quotient.pair_at[attaining_pairs(reach)]
+        usable, pairs = self.sure_pairs | quotient.inside, quotient.pair_at[attaining_pairs(reach)]
         usable[pairs[pairs >= 0]] = True
         return usable
 
@@ -83,7 +83,7 @@ class ReachPolicy:
 
 
 def greatest_goal_reach(
-    model: SSP, survival: float = 1.0, start: FloatArray | None = None, *, last_digits: bool = True
+    model: SSP, survival: float = 1.0, start: FloatArray | None = None, *, precise: bool = True
 ) -> GoalReach:
     """Solve MAXPROB: the greatest E[survival^T; goal] from every state.
 
@@ -96,11 +96,11 @@ def greatest_goal_reach(
         survival: the discount; 1 for probabilities.
         start: only the results from states with positive entries are needed, [states]; None: from
             all states.
-        last_digits: whether all pairs that attain the greatest value are needed, rather than one
+        precise: whether all pairs that attain the greatest value are needed, rather than one
             policy and a bound.
     """
-    exact, setting = survival == 1.0, (survival, start, last_digits)
-    one_pass = _reach_in_order(model, start) if exact and not last_digits else None
+    exact, setting = survival == 1.0, (survival, start, precise)
+    one_pass = _reach_in_order(model, start) if exact and not precise else None
     if one_pass is not None:
         return one_pass
     if exact:
@@ -164,9 +164,7 @@ def greatest_goal_from(model: SSP, start: FloatArray) -> float:
     Raises:
         Stop: the time limit was reached before it was computed.
     """
-    reached = float(
-        expected(start, greatest_goal_reach(model, start=start, last_digits=False).goal)
-    )
+    reached = float(expected(start, greatest_goal_reach(model, start=start, precise=False).goal))
     check_time()  # at a time limit it may not be the greatest
     if 1.0 - _RARE < reached < 1.0:
         return float(expected(start, greatest_goal_reach(model, start=start).goal))
@@ -182,7 +180,7 @@ def extreme_goal_reach(model: SSP, aim: Aim, start: FloatArray) -> GoalReach:
         start: only the results from states with positive entries are needed, [states].
     """
     if aim is Aim.GREATEST_GOAL:
-        return greatest_goal_reach(model, start=start, last_digits=False)
+        return greatest_goal_reach(model, start=start, precise=False)
     return least_goal_reach(model, start=start)
 
 
@@ -209,10 +207,10 @@ def least_goal_reach(
 def _extreme_reach(
     quotient: Quotient,
     hit_states: BoolArray,
-    surely: BoolArray,
+    sure_pairs: BoolArray,
     survival: float,
     start: FloatArray | None,
-    last_digits: bool,
+    precise: bool,
     *,
     greatest: bool,
 ) -> GoalReach:
@@ -223,29 +221,27 @@ def _extreme_reach(
     Args:
         quotient: the live states.
         hit_states: the end states that count, [states].
-        surely: pairs that attain the optimum by the graph alone, [model pairs].
+        sure_pairs: pairs that attain the optimum by the graph alone, [model pairs].
         survival: the discount, or 1.
         start: only the results from states with positive entries are needed, [states]; None: from
             all states.
-        last_digits: whether all pairs that attain the optimum are needed.
+        precise: whether all pairs that attain the optimum are needed.
         greatest: whether to maximise, rather than minimise.
     """
     model = quotient.model
-    dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
-    hit = survival * quotient.at_pairs(successor_means(model, hit_states)) / departs
+    dynamics, escape = quotient.dynamics(survival, departing=survival == 1.0)
+    hit = survival * quotient.at_pairs(successor_means(model, hit_states)) / escape
     missing = (quotient.node_of < 0) & ~hit_states
-    miss = survival * quotient.at_pairs(successor_means(model, missing)) / departs
+    miss = survival * quotient.at_pairs(successor_means(model, missing)) / escape
     if survival < 1.0:
         miss = miss + (1.0 - survival)
     begun = None if start is None else quotient.gather(start)
-    reach = extreme_reach(
-        dynamics, hit, miss, greatest=greatest, start=begun, last_digits=last_digits
-    )
+    reach = extreme_reach(dynamics, hit, miss, greatest=greatest, start=begun, precise=precise)
     return GoalReach(
         goal=np.where(hit_states, 1.0, quotient.lift(reach.reach)),
         bound=np.where(hit_states, 1.0, quotient.lift(reach.bound)),
         decision=quotient.pull_back(reach.choice),
-        surely=surely,
+        sure_pairs=sure_pairs,
         solved=(quotient, reach),
     )
 
@@ -272,12 +268,12 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
     if model.failure_label is not None:  # ways to the goal may have been excluded after failing
         hopeless = hopeless | (reach.goal == 0.0) & ~exits
     quotient = build_quotient(model, usable=usable, free=free, exits=exits, ended=hopeless)
-    dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
-    gain = quotient.at_pairs(successor_means(model, model.goal_mask)) / departs
-    pair_cost = quotient.at_pairs(cost_means(model, weight)) / departs
+    dynamics, escape = quotient.dynamics(survival, departing=survival == 1.0)
+    gain = quotient.at_pairs(successor_means(model, model.goal_mask)) / escape
+    pair_cost = quotient.at_pairs(cost_means(model, weight)) / escape
     leaving = nearer_pairs(dynamics.graph, (quotient.pair_at == GIVE_UP_CODE) | (gain > 0))
     missing = successor_means(model, (quotient.node_of < 0) & ~model.goal_mask)
-    miss = (1.0 - survival) + survival * quotient.at_pairs(missing, 1.0) / departs
+    miss = (1.0 - survival) + survival * quotient.at_pairs(missing, 1.0) / escape
     rewards, only_cost = np.stack([pair_cost, gain, miss], axis=1), np.array([1.0, 0.0, 0.0])
     settled = iterate_policy(dynamics, rewards, only_cost, leaving)
     bound = dual_bound(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice).rounded
@@ -294,19 +290,19 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
 
 
 def _failing_to_reach(
-    model: SSP, surely: BoolArray, node_of: IntArray, missed: FloatArray
+    model: SSP, sure_states: BoolArray, node_of: IntArray, miss_probability: FloatArray
 ) -> FloatArray:
     """Return the probability of not reaching the goal, [states]; 1 for states without a node.
 
     Args:
         model: the model.
-        surely: states from which the goal is reached surely, [states].
+        sure_pairs: states from which the goal is reached surely, [states].
         node_of: the node of each live state, negative elsewhere, [states].
-        missed: probability of not reaching the goal, [nodes].
+        miss_probability: probability of not reaching the goal, [nodes].
     """
-    failure = np.where(model.goal_mask | surely, 0.0, 1.0)
+    failure = np.where(model.goal_mask | sure_states, 0.0, 1.0)
     solved = ((node_of >= 0) & ~model.goal_mask).nonzero()[0]
-    failure[solved] = np.clip(missed[node_of[solved]], 0.0, 1.0)
+    failure[solved] = np.clip(miss_probability[node_of[solved]], 0.0, 1.0)
     return failure
 
 
@@ -323,16 +319,16 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     taken, exact = decision[live].astype(np.int32), survival == 1.0
     home = node_of[live] if exact else None
     rows = live_rows(RowChoice(model, node_of, live.size, taken, home), survival)
-    chain, departs = System(rows.matrix, rows.exits), rows.departs
-    hit = successor_means(model, model.goal_mask)[taken] / departs
+    chain, escape = System(rows.matrix, rows.exits), rows.escape
+    hit = successor_means(model, model.goal_mask)[taken] / escape
     missing = successor_means(model, (node_of < 0) & ~model.goal_mask)[taken]
-    miss = (1.0 - survival) + survival * missing / departs
+    miss = (1.0 - survival) + survival * missing / escape
     solved = chain.solve(np.stack([hit, miss], axis=1))
     early = np.zeros(model.n_states)
     early[live] = solved[:, 0]
     goal = np.where(model.goal_mask, 1.0, survival * early)
     cost = np.zeros(model.n_states)
-    cost[live] = chain.solve(cost_means(model, goal)[taken] / departs)
+    cost[live] = chain.solve(cost_means(model, goal)[taken] / escape)
     nothing = np.zeros(model.n_states)
     failure = _failing_to_reach(model, model.goal_mask, node_of, solved[:, 1])
     values = TailValues(goal, failure, early, cost, moment=nothing)

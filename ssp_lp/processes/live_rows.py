@@ -28,7 +28,7 @@ from ssp_lp.compiled.accelerator import accelerated, with_twin
 from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.dynamic_programming.bellman import MOST_CACHED, SharedRows, SparseRows
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import kept
+from ssp_lp.model.graph import stored_with_model
 
 
 def uniform_cost(model: SSP) -> float | None:
@@ -73,7 +73,7 @@ def cost_means(model: SSP, weights: FloatArray | BoolArray | None = None) -> Flo
     return _summed_costs(model, weights) if cost is None else cost * successor_means(model, weights)
 
 
-@kept
+@stored_with_model
 def mean_costs(model: SSP) -> FloatArray:
     """Return the expected stage cost E[g(x, u, w)] of each pair, cached, [pairs]."""
     cost = uniform_cost(model)
@@ -120,7 +120,7 @@ class RowChoice:
     node_of: IntArray  # [states] int32 node, -1 where the process ends
     n_nodes: int
     pair_at: IntArray  # [rows] int32 pair of the model; negative: an empty row
-    home: IntArray | None = None  # [rows] int32 node to depart from; None: self-loops stay
+    owner: IntArray | None = None  # [rows] int32 node to depart from; None: self-loops stay
     ahead: IntArray | None = None  # [outcomes] offset in blocks of columns; None: 0
     width: int = 1  # number of blocks of columns
 
@@ -129,7 +129,7 @@ class LiveRows(NamedTuple):
     """The transition matrix of a process, the divisors of its rows, and the mass that ends."""
 
     matrix: sp.csr_array  # [rows, width * nodes], possibly several entries for one column
-    departs: FloatArray  # [rows] probability of departing, 1 without a self-loop
+    escape: FloatArray  # [rows] probability of departing, 1 without a self-loop
     exits: FloatArray  # [rows] probability that the process ends, or is discounted
 
 
@@ -137,7 +137,7 @@ class LiveRows(NamedTuple):
 def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
     """Return the transition probabilities from the pair of each row to each node.
 
-    If ``rows.home`` is given, each row is conditioned on departing from its node: the self-loop is
+    If ``rows.owner`` is given, each row is conditioned on departing from its node: the self-loop is
     removed, and all other entries are divided by the probability of departing. This probability is
     a sum over the outcomes that depart, because 1 - (probability of the self-loop) would lose
     digits. A row that never departs is not changed.
@@ -147,12 +147,12 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
         survival: factor of every probability, the discount or 1.
     """
     if accelerated(rows.model.n_outcomes, "matrix_rows.count_rows", "matrix_rows.fill_rows"):
-        counts, departs, leaks = _count_live(rows)
-        matrix = _filled_rows(rows, survival, departs, _row_bounds(rows, counts))
+        counts, escape, leaks = _count_live(rows)
+        matrix = _filled_rows(rows, survival, escape, _row_bounds(rows, counts))
     else:
-        matrix, departs, leaks = _live_rows_in_numpy(rows, survival)
+        matrix, escape, leaks = _live_rows_in_numpy(rows, survival)
     exits = leaks if survival == 1.0 else (1.0 - survival) + survival * leaks
-    return LiveRows(matrix, departs, exits / departs)
+    return LiveRows(matrix, escape, exits / escape)
 
 
 @with_twin
@@ -166,10 +166,10 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
     loops = "matrix_rows.count_rows", "matrix_rows.fill_rows", "matrix_rows.share_rows"
     if not accelerated(rows.model.n_outcomes, *loops):
         return _live_rows_in_numpy(rows, survival)[0]
-    counts, departs, _ = _count_live(rows)
+    counts, escape, _ = _count_live(rows)
     bounds, entries = _row_bounds(rows, counts), int(counts.sum())
     if entries < _WORTH_SHARING:
-        return _filled_rows(rows, survival, departs, bounds)
+        return _filled_rows(rows, survival, escape, bounds)
     from ssp_lp.compiled.matrix_rows import share_rows
 
     n_rows, n_outcomes = len(rows.pair_at), rows.model.n_outcomes
@@ -181,10 +181,10 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
         first, end = bounds[some.start], bounds[some.stop]
         own = bounds[some.start : some.stop + 1] - first
         numbers = np.empty(end - first) if end - first > numbers.size else numbers
-        _fill_compiled(rows, some, departs, survival, own, indices[first:end], numbers)
+        _fill_compiled(rows, some, escape, survival, own, indices[first:end], numbers)
         used = share_rows(own, numbers, begins[some], data, slots, used)
         if used < 0 or used > end // _TIMES_SHARED:  # few rows are equal
-            return _filled_rows(rows, survival, departs, bounds)
+            return _filled_rows(rows, survival, escape, bounds)
     shape = n_rows, rows.width * rows.n_nodes
     return SharedRows(bounds, begins, indices, data[:used].copy(), shape)
 
@@ -199,7 +199,7 @@ def _row_bounds(rows: RowChoice, counts: IntArray) -> IntArray:
 def _fill_compiled(
     rows: RowChoice,
     some: slice,
-    departs: FloatArray,
+    escape: FloatArray,
     survival: float,
     bounds: IntArray,
     indices: IntArray,
@@ -210,7 +210,7 @@ def _fill_compiled(
     Args:
         rows: the pairs and the nodes.
         some: the rows to write.
-        departs: probability of departing, [rows].
+        escape: probability of departing, [rows].
         survival: factor of every probability.
         bounds: offsets of these rows in the two arrays that are written.
         indices: written: column of each entry.
@@ -218,23 +218,23 @@ def _fill_compiled(
     """
     from ssp_lp.compiled.matrix_rows import fill_rows
 
-    model, home = rows.model, _row_array(rows.home)
+    model, home = rows.model, _row_array(rows.owner)
     fill_rows(
         model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
         _row_array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at[some],
-        home[some] if home.size else home, departs[some], survival, bounds, indices, data,
+        home[some] if home.size else home, escape[some], survival, bounds, indices, data,
     )  # fmt: skip
 
 
 def _filled_rows(
-    rows: RowChoice, survival: float, departs: FloatArray, bounds: IntArray
+    rows: RowChoice, survival: float, escape: FloatArray, bounds: IntArray
 ) -> sp.csr_array:
     """Return all rows as a CSR matrix, written by compiled loops at known offsets."""
     n_rows, n_columns = len(rows.pair_at), rows.width * rows.n_nodes
     indices, data = np.empty(int(bounds[-1]), dtype=bounds.dtype), np.empty(int(bounds[-1]))
     for some in pieces(n_rows, rows.model.n_outcomes):
         own = bounds[some.start : some.stop + 1]
-        _fill_compiled(rows, some, departs, survival, own, indices, data)
+        _fill_compiled(rows, some, escape, survival, own, indices, data)
     return csr_of(data, indices, bounds, (n_rows, n_columns))
 
 
@@ -242,15 +242,15 @@ def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return number of entries, probability of departing and ending mass of each row, [rows]."""
     from ssp_lp.compiled.matrix_rows import count_rows
 
-    n_rows, model, home = len(rows.pair_at), rows.model, _row_array(rows.home)
-    counts, departs, leaks = np.zeros(n_rows, dtype=np.int32), np.ones(n_rows), np.ones(n_rows)
+    n_rows, model, home = len(rows.pair_at), rows.model, _row_array(rows.owner)
+    counts, escape, leaks = np.zeros(n_rows, dtype=np.int32), np.ones(n_rows), np.ones(n_rows)
     for some in pieces(n_rows, model.n_outcomes):
         count_rows(
             model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
             rows.node_of, rows.pair_at[some], home[some] if home.size else home,
-            counts[some], departs[some], leaks[some],
+            counts[some], escape[some], leaks[some],
         )  # fmt: skip
-    return counts, departs, leaks
+    return counts, escape, leaks
 
 
 def _row_array(given: IntArray | None) -> IntArray:
@@ -265,27 +265,27 @@ def _live_rows_in_numpy(
     model, n_rows, pairs = rows.model, len(rows.pair_at), rows.pair_at
     begins = np.where(pairs < 0, 0, model.outcome_offsets[pairs])
     lengths = np.where(pairs < 0, 0, model.outcome_offsets[pairs + 1] - begins)
-    departs, leaks, counts = np.ones(n_rows), np.ones(n_rows), np.zeros(n_rows, dtype=np.int64)
+    escape, leaks, counts = np.ones(n_rows), np.ones(n_rows), np.zeros(n_rows, dtype=np.int64)
     columns, entries = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for some in segment_chunks(offsets_of(lengths)):
         outcome = concatenated_ranges(begins[some], lengths[some])
         row, size = segment_ids(offsets_of(lengths[some])), some.stop - some.start
         chance, node = model.probabilities[outcome], rows.node_of[model.successors[outcome]]
         live, ends = (node >= 0) & (chance > 0), node < 0
-        loop = live & (False if rows.home is None else node == rows.home[some][row])
+        loop = live & (False if rows.owner is None else node == rows.owner[some][row])
         leak = np.bincount(row[ends], chance[ends], size)
         away = live & ~loop
         mass = leak + np.bincount(row[away], chance[away], size)
         leaks[some] = np.where(pairs[some] < 0, 1.0, leak)
         waits = np.bincount(row[loop], minlength=size) > 0
-        departs[some] = np.where(waits & (mass > 0), mass, 1.0)
+        escape[some] = np.where(waits & (mass > 0), mass, 1.0)
         kept = np.where((mass == 0)[row], live, away)  # rows that never depart stay
         column = node[kept].astype(np.int64)
         if rows.ahead is not None:
             column += rows.ahead[outcome[kept]].astype(np.int64) * rows.n_nodes
         columns.append(column)
-        entries.append(chance[kept] / departs[some][row[kept]] * survival)
+        entries.append(chance[kept] / escape[some][row[kept]] * survival)
         counts[some] = np.bincount(row[kept], minlength=size)
     bounds = _row_bounds(rows, counts)
     indices, shape = np.concatenate(columns).astype(bounds.dtype), rows.width * rows.n_nodes
-    return csr_of(np.concatenate(entries), indices, bounds, (n_rows, shape)), departs, leaks
+    return csr_of(np.concatenate(entries), indices, bounds, (n_rows, shape)), escape, leaks

@@ -89,13 +89,13 @@ def labelled_past_failing(
 
 
 def check_counted_past_failing(
-    model: SSP, asked: Condition, semantics: FailureSemantics, *, ratio: bool
+    model: SSP, limit: Condition, semantics: FailureSemantics, *, ratio: bool
 ) -> None:
     """Check that a process contains all events that a quantity counts, also those after failing.
 
     Args:
         model: the model of the process, perhaps a product with the failure label.
-        asked: the quantity, looked up in the model before any product.
+        limit: the quantity, looked up in the model before any product.
         semantics: where a policy may give up.
         ratio: whether the objective is a cost given success.
 
@@ -103,11 +103,11 @@ def check_counted_past_failing(
         ModelError: the process does not contain some event after failing.
     """
     # finiteness does not matter here: the discount skips that check
-    needed = labelled_past_failing(asked.model, (), asked, semantics, ratio=ratio, discount=1.0)
+    needed = labelled_past_failing(limit.model, (), limit, semantics, ratio=ratio, discount=1.0)
     if (label := model.failure_label) is None:
         is_told = needed is None
     else:
-        ends = _ends_past_failing(asked.model, [term for _, term in asked.terms])[0]
+        ends = _ends_past_failing(limit.model, [term for _, term in limit.terms])[0]
         is_told = bool(label.ended[: label.n_original][ends].all())
         if needed is not None:
             is_told &= not (needed.open_pairs & ~label.open_pairs).any()

@@ -24,14 +24,14 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.task import Task
 from ssp_lp.model.tracked_product import Automaton, TrackedSSP
 from ssp_lp.processes.conditions import ArrivalTerm
-from ssp_lp.processes.quantities import Constraint, Followed, Quantity, run_amounts
+from ssp_lp.processes.quantities import Constraint, Quantity, RunEvent, run_amounts
 
 _ROUNDING = 8.0 * MACHINE_EPSILON
 _FEWEST, _MOST, _CELLS = 50, 2_000, 400_000  # levels of a rounded total; levels times states
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Total(Followed):
+class _TotalEvent(RunEvent):
     """Event that a run's total of a quantity stays within a bound or, if ``passes``, exceeds it."""
 
     quantity: Quantity
@@ -87,7 +87,7 @@ class _Total(Followed):
         moves = np.vstack([table, last])
         return Automaton(name, tuple(words), letters, moves, letter[:n], begin, unit)
 
-    def rounded_down(self) -> _Total:
+    def rounded_down(self) -> _TotalEvent:
         """Return the event whose amounts, if they must be rounded, are rounded down."""
         return replace(self, rounds_down=True)
 
@@ -150,7 +150,7 @@ def within(quantity: Quantity, bound: float) -> Quantity:
     Raises:
         ModelError: not a quantity, or a bound that is not a number >= 0.
     """
-    return _promise("within", quantity, bound, passes=False)
+    return _total_event("within", quantity, bound, passes=False)
 
 
 @explained
@@ -166,11 +166,11 @@ def exceeds(quantity: Quantity, bound: float) -> Quantity:
     Raises:
         ModelError: not a quantity, or a bound that is not a number >= 0.
     """
-    return _promise("exceeds", quantity, bound, passes=True)
+    return _total_event("exceeds", quantity, bound, passes=True)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Traces(Followed):
+class _TraceEvent(RunEvent):
     """Event that a run reaches the goal and its trace satisfies a task."""
 
     task: Task
@@ -201,14 +201,14 @@ def holds(task: Task) -> Quantity:
     """
     if not isinstance(task, Task):
         raise ModelError(f"holds() takes a task, such as task('F key'), not {in_short(task)}")
-    return Quantity(((1.0, _Traces(task)),))
+    return Quantity(((1.0, _TraceEvent(task)),))
 
 
-def _promise(verb: str, quantity: Quantity, bound: float, *, passes: bool) -> Quantity:
+def _total_event(verb: str, quantity: Quantity, bound: float, *, passes: bool) -> Quantity:
     """Return the quantity of :func:`within` or, if ``passes``, of :func:`exceeds`, after checks."""
     if not isinstance(quantity, Quantity):
         hint = "a quantity first, such as secondary_cost('fuel')"
         raise ModelError(f"{verb}() takes {hint}, not {in_short(quantity)}")
     if not is_number(bound) or not (isfinite(bound) and bound >= 0.0):
         raise ModelError(f"the bound of {verb} must be a number >= 0, not {in_short(bound)}")
-    return Quantity(((1.0, _Total(quantity, float(bound), passes)),))
+    return Quantity(((1.0, _TotalEvent(quantity, float(bound), passes)),))

@@ -95,7 +95,7 @@ class _ArrivalCosts:
         return "arrival_cost(...)"
 
 
-class Followed(ABC):
+class RunEvent(ABC):
     """An event of a whole run, whose probability is a quantity.
 
     An automaton follows the run and decides whether the event occurs (``model.tracked_product``).
@@ -113,7 +113,7 @@ class Followed(ABC):
     def term(self, product: TrackedSSP) -> ArrivalTerm:
         """Return the term that counts the event, as arrivals in states of the product."""
 
-    def rounded_down(self) -> Followed:
+    def rounded_down(self) -> RunEvent:
         """Return the event whose amounts, if the automaton rounds them, are rounded down."""
         return self
 
@@ -135,7 +135,7 @@ class Followed(ABC):
         return replace(term, model=model, states=term.states[found[1]])
 
 
-Counted = _StageCosts | _Visits | _Ends | _ArrivalCosts | Followed
+Counted = _StageCosts | _Visits | _Ends | _ArrivalCosts | RunEvent
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -557,10 +557,10 @@ def words_visited(constraint: Constraint) -> list[Hashable]:
     return [word for one in counted if isinstance(one, _Visits) for word in one.of]
 
 
-def followed_by(constraints: Iterable[Constraint]) -> list[Followed]:
+def run_events(constraints: Iterable[Constraint]) -> list[RunEvent]:
     """Return the events of whole runs (:class:`Followed`) that constraints count, each once."""
     terms = (counted for each in constraints for _, counted in each.quantity.terms)
-    return list(dict.fromkeys(counted for counted in terms if isinstance(counted, Followed)))
+    return list(dict.fromkeys(counted for counted in terms if isinstance(counted, RunEvent)))
 
 
 def run_amounts(model: SSP, quantity: Quantity) -> tuple[FloatArray, FloatArray]:
@@ -601,7 +601,7 @@ def beyond_exploring(constraint: Constraint) -> str | None:
                 return f"{counted!r} counts events after failing, which are not explored"
             case _StageCosts(cost, _) if not (cost is None or isinstance(cost, str)):
                 return "costs of an implicit model have names: secondary_cost('fuel')"
-            case Followed():
+            case RunEvent():
                 return f"{counted!r} depends on whole runs, which are not explored"
             case _Ends(ways) if ways != ("goal",):
                 unknown = "counts ends that may not be explored: limit visits of these states"
@@ -668,7 +668,7 @@ def _looked_up_term(model: SSP, counted: Counted) -> Term:
                 "an arrival cost depends on the total of a whole run and cannot be limited: "
                 "minimise it given success (ratio = True)"
             )
-        case Followed():
+        case RunEvent():
             return counted.looked_up(model)
         case _Visits(of, through):
             return ArrivalTerm(model, _looked_up_states(model, of), through=through)

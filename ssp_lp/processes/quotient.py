@@ -77,7 +77,7 @@ class Quotient:
         The arguments are those of :meth:`transitions`.
         """
         rows = self.transitions(survival, departing=departing)
-        return Dynamics(self.pair_offsets, rows.matrix, rows.exits), rows.departs
+        return Dynamics(self.pair_offsets, rows.matrix, rows.exits), rows.escape
 
     def at_pairs(self, per_pair: FloatArray, give_up: float | FloatArray = 0.0) -> FloatArray:
         """Return a value for each pair, [pairs], from values of the model's pairs.
@@ -307,8 +307,8 @@ def _quotient_with_pairs(
     node_of: IntArray,
     inside: BoolArray,
     merged: BoolArray,
-    kept: BoolArray,
-    leaving: BoolArray,
+    has_pair: BoolArray,
+    may_give_up: BoolArray,
 ) -> Quotient:
     """Return the quotient with given nodes and pairs.
 
@@ -318,18 +318,18 @@ def _quotient_with_pairs(
         node_of: node of each state, -1 if it is not live, [states].
         inside: pairs that stay in a collapsed component, [model pairs].
         merged: members of collapsed components, [states].
-        kept: pairs of the model that the quotient has, [model pairs].
-        leaving: states in which giving up is allowed, [states].
+        has_pair: pairs of the model that the quotient has, [model pairs].
+        may_give_up: states in which giving up is allowed, [states].
     """
     n_nodes = int(node_of.max(initial=-1)) + 1
-    pairs = kept.nonzero()[0].astype(np.int32)
+    pairs = has_pair.nonzero()[0].astype(np.int32)
     pair_node = node_of[model.pair_state[pairs]]
     if merged.any():
         order = np.argsort(pair_node, kind="stable")
         pairs, pair_node = pairs[order], pair_node[order]
     counts = np.bincount(pair_node, minlength=n_nodes)
-    if leaving.any():  # giving up is first in its node, so that it wins ties
-        nodes = (np.bincount(node_of[leaving], minlength=n_nodes) > 0).nonzero()[0]
+    if may_give_up.any():  # giving up is first in its node, so that it wins ties
+        nodes = (np.bincount(node_of[may_give_up], minlength=n_nodes) > 0).nonzero()[0]
         pairs = np.insert(pairs, offsets_of(counts)[nodes], GIVE_UP_CODE)
         counts[nodes] += 1
     offsets = offsets_of(counts).astype(np.int32)
@@ -358,15 +358,15 @@ class Spread:
 
     quotient: Quotient  # of the same live states, none merged
     place: IntArray  # [its pairs] pair of the merged quotient, -1: inside a component
-    departs: FloatArray  # [its pairs] probability of departing from the merged node
+    escape: FloatArray  # [its pairs] probability of departing from the merged node
 
-    def per_taking(self, per_departure: FloatArray) -> FloatArray:
+    def per_visit(self, per_departure: FloatArray) -> FloatArray:
         """Convert amounts per departure to amounts per visit of each unmerged pair, [pairs].
 
         Args:
             per_departure: [merged pairs].
         """
-        return np.where(self.place >= 0, per_departure[self.place] * self.departs, 0.0)
+        return np.where(self.place >= 0, per_departure[self.place] * self.escape, 0.0)
 
     def departures(self, visits: FloatArray) -> FloatArray:
         """Convert visits of unmerged pairs to departures by each merged pair, [merged pairs].
@@ -375,7 +375,7 @@ class Spread:
             visits: [pairs].
         """
         own, size = self.place >= 0, int(self.place.max(initial=-1)) + 1
-        gone = visits[own] * self.departs[own]
+        gone = visits[own] * self.escape[own]
         return np.bincount(self.place[own], weights=gone, minlength=size).astype(np.float64)
 
     def visits(self, flow: ModelFlow) -> FloatArray:
@@ -383,16 +383,16 @@ class Spread:
         return self.quotient.at_pairs(flow.pairs, flow.give_up[self.quotient.first_states])
 
 
-def spread_out(quotient: Quotient, departs: FloatArray) -> Spread | None:
+def unmerged(quotient: Quotient, escape: FloatArray) -> Spread | None:
     """Return the unmerged quotient, with self-loops, and the map of its pairs to the merged one.
 
     The result is None if no component is merged and no self-loop was removed.
 
     Args:
         quotient: the merged quotient.
-        departs: probability that each pair departs from its node, [pairs] (see ``live_rows``).
+        escape: probability that each pair departs from its node, [pairs] (see ``live_rows``).
     """
-    if not quotient.merged.any() and (departs == 1.0).all():
+    if not quotient.merged.any() and (escape == 1.0).all():
         return None
     single = quotient.split()
     place = quotient.places[single.pair_at]
@@ -400,7 +400,7 @@ def spread_out(quotient: Quotient, departs: FloatArray) -> Spread | None:
     giving[quotient.pair_node[quotient.gives_up]] = np.flatnonzero(quotient.gives_up)
     nodes = quotient.node_of[single.first_states[single.pair_node]]
     place = np.where(single.gives_up, giving[nodes], place)
-    return Spread(single, place, np.where(place >= 0, departs[place], 1.0))
+    return Spread(single, place, np.where(place >= 0, escape[place], 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -461,7 +461,7 @@ def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> 
 
 
 def _flow_of_moves(
-    quotient: Quotient, members: IntArray, entering: FloatArray, leaving: FloatArray
+    quotient: Quotient, members: IntArray, inflow: FloatArray, outflow: FloatArray
 ) -> FloatArray:
     """Return the expected visits of the pairs inside merged components, [model pairs].
 
@@ -471,27 +471,27 @@ def _flow_of_moves(
     Args:
         quotient: the quotient.
         members: states of merged components.
-        entering: flow that enters each member from outside, [members].
-        leaving: flow that leaves each member to the outside, [members].
+        inflow: flow that enters each member from outside, [members].
+        outflow: flow that leaves each member to the outside, [members].
     """
     model, node = quotient.model, quotient.node_of[members]
-    exits = np.flatnonzero(leaving > 0.0)
+    exits = np.flatnonzero(outflow > 0.0)
     exits = exits[np.argsort(node[exits], kind="stable")]
     begins = run_starts(node[exits])
     turn = np.arange(exits.size) - np.flatnonzero(begins)[np.cumsum(begins) - 1]
-    total = np.bincount(node, weights=leaving, minlength=quotient.n_nodes)
+    total = np.bincount(node, weights=outflow, minlength=quotient.n_nodes)
     pairs = np.zeros(model.n_pairs)
     for number in range(int(turn.max(initial=-1)) + 1):
         served = exits[turn == number]
         share = np.zeros(quotient.n_nodes)
-        share[node[served]] = leaving[served] / total[node[served]]
+        share[node[served]] = outflow[served] / total[node[served]]
         is_target = np.zeros(model.n_states, dtype=np.bool_)
         is_target[members[served]] = True
         last = quotient.inside & pairs_into(model, is_target) & ~is_target[model.pair_state]
         usable = quotient.inside & ~is_target[model.pair_state]
         choice = nearer_pairs(model, last, usable)
         moving = np.flatnonzero((choice[members] >= 0) & (share[node] > 0.0))
-        taken, entered = choice[members[moving]], (entering * share[node])[moving]
+        taken, entered = choice[members[moving]], (inflow * share[node])[moving]
         # visits of the chain in which each state takes its one pair
         outcomes, lengths = entries_of(model.outcome_offsets, taken)
         place = np.full(model.n_states, -1)

@@ -23,7 +23,7 @@ from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP, DeterministicPolicy, StochasticPolicy
 from ssp_lp.processes.conditions import Term
 from ssp_lp.processes.explicit_process import ExplicitProcess, ReachablePart
-from ssp_lp.processes.failure_label import FailureLabelled, counting_of, with_start
+from ssp_lp.processes.failure_label import LabelledProcess, counting_of, with_start
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.quotient import (
     ModelFlow,
@@ -67,7 +67,7 @@ BOUND_TO_START = (
 
 
 @dataclass(frozen=True, eq=False)
-class Augmented(ABC):
+class AugmentedProcess(ABC):
     """The process whose pairs are a program's columns, and the translation of its policies.
 
     The *live part* is the model without goals and dead-ends. In case S there is a copy of it for
@@ -76,7 +76,7 @@ class Augmented(ABC):
     process contains only the pairs that some policy reaches.
     """
 
-    inner: FailureLabelled | OpenEnded  # the process in its compact form
+    inner: LabelledProcess | OpenEnded  # the process in its compact form
     start: FloatArray  # [states] distribution
     semantics: FailureSemantics  # where giving up is allowed
     part: ReachablePart  # the process, with the numbers of its states and pairs
@@ -88,7 +88,7 @@ class Augmented(ABC):
 
     @property
     @abstractmethod
-    def live(self) -> FailureLabelled | AccumulatedCost:
+    def live(self) -> LabelledProcess | AccumulatedCost:
         """One copy of the live part: the model without goals and dead-ends."""
 
     @property
@@ -112,7 +112,7 @@ class Augmented(ABC):
         """
 
     @abstractmethod
-    def spread(self, spread: Spread) -> Augmented:
+    def spread(self, spread: Spread) -> AugmentedProcess:
         """Return the process in which no component is merged and self-loops are pairs.
 
         Args:
@@ -123,7 +123,7 @@ class Augmented(ABC):
     def counted(self, term: Term) -> FloatArray:
         """Return the coefficient of a term for each pair of the process, [process pairs]."""
 
-    def started(self, start: Hashable | Mapping[Hashable, float]) -> Augmented | None:
+    def started(self, start: Hashable | Mapping[Hashable, float]) -> AugmentedProcess | None:
         """Return the process with another start; None if its pairs depend on the start."""
         return None
 
@@ -220,16 +220,16 @@ class Augmented(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class LabelledModel(Augmented):
+class LabelledModel(AugmentedProcess):
     """The process of case M: its states are those of the model while a run has not failed."""
 
-    inner: FailureLabelled
+    inner: LabelledProcess
     discount: float | None
 
     @classmethod
     def of(
         cls,
-        inner: FailureLabelled,
+        inner: LabelledProcess,
         start: FloatArray,
         semantics: FailureSemantics,
         discount: float | None,
@@ -246,14 +246,14 @@ class LabelledModel(Augmented):
         return cls(inner, start, semantics, ReachablePart(inner.process, *every), discount)
 
     @property
-    def live(self) -> FailureLabelled:
+    def live(self) -> LabelledProcess:
         """The process itself: there is one copy, since no cost is accumulated."""
         return self.inner
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """Yield the expected visits of the model's pairs, for the only copy."""
         quotient = self.quotient
-        flow = model_flow(quotient, visits[: self.width] / self.inner.departs)
+        flow = model_flow(quotient, visits[: self.width] / self.inner.escape)
         yield moving_within(quotient, flow, self.start + flow.entering(quotient))
 
     def spread(self, spread: Spread) -> LabelledModel:
@@ -261,11 +261,11 @@ class LabelledModel(Augmented):
         process, single, width = self.process, spread.quotient, self.width
         rows = single.transitions(1.0, departing=False).matrix  # a discount collapses nothing
         rewards = (process.cost, process.failure, process.goal)
-        taken = (spread.per_taking(each[:width]) for each in rewards)
+        taken = (spread.per_visit(each[:width]) for each in rewards)
         apart = ExplicitProcess(single.pair_offsets, rows, single.gather(self.start), *taken)
         whole = with_start(apart, single, self.start, float(process.cost[width:].sum()))
         ones = np.ones(len(single.pair_at))
-        labelled = FailureLabelled(whole, single, ones)
+        labelled = LabelledProcess(whole, single, ones)
         return LabelledModel.of(labelled, self.start, self.semantics, self.discount)
 
     def started(self, start: Hashable | Mapping[Hashable, float]) -> LabelledModel | None:
@@ -289,7 +289,7 @@ class LabelledModel(Augmented):
 
 
 @dataclass(frozen=True, eq=False)
-class LayeredModel(Augmented):
+class LayeredModel(AugmentedProcess):
     """The process of case S: its states are pairs of a model state and an accumulated cost.
 
     It contains only accumulated costs that a run can reach. One last layer stands for all costs
@@ -325,7 +325,7 @@ class LayeredModel(Augmented):
         below = self.inner.leads(kinds)[0] if merged else kinds
         visits = self.in_all_copies(visits)
         for layer in range(self.copies):
-            taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.departs
+            taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.escape
             flow = model_flow(quotient, taken)
             if merged:
                 mass = np.repeat(flow.pairs, np.diff(model.outcome_offsets)) * model.probabilities

@@ -18,7 +18,7 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError, SolverError, in_short, wrong_argument
 from ssp_lp.linear_programming.linear_program import MeasuredRow, check_bounds
 from ssp_lp.model.report import ByName
-from ssp_lp.processes.failure_semantics import AS_ASKED
+from ssp_lp.processes.failure_semantics import AS_IS
 from ssp_lp.processes.quantities import Quantity
 from ssp_lp.programs.augmented import BOUND_TO_START
 from ssp_lp.programs.occupation_measure import NOISES, OccupationMeasure
@@ -241,7 +241,7 @@ class ConvexProgram:
         for name in (name for name, bound in bounds.items() if bound == np.inf):
             hint = f"; del convex.constraints[{name!r}] removes the row"
             raise wrong_argument(name, "be finite", np.inf, hint)
-        start = self._begun if start is None else start
+        start = self._start if start is None else start
         program = self.program.bounded_by(self._now | bounds) if as_stated else self.program
         program = program if start is None else program.started(start)
         if program.process.transitions is not self.program.process.transitions:  # rebuilt
@@ -344,7 +344,7 @@ class ConvexProgram:
             ratio = (ratio - noise * abs(ratio)) * program.ratio
             _, value = program.least_of_visits(cost, by_scale, ratio)
             if np.isfinite(value):
-                return (program.sense if self._minimises_cost else AS_ASKED).worth(value + constant)
+                return (program.sense if self._minimises_cost else AS_IS).stated(value + constant)
         return None
 
     def _affine(self, expression: Any) -> FloatArray | None:
@@ -476,7 +476,7 @@ class ConvexProgram:
         return {name: np.asarray(bound.value).item() for name, bound in self.bounds.items()}
 
     @property
-    def _begun(self) -> dict[Hashable, float] | None:
+    def _start(self) -> dict[Hashable, float] | None:
         """Current value of the start's parameter, by state; None if it is unchanged."""
         start, augmented = np.asarray(self.start.value), self.program.augmented
         if np.array_equal(start, self.program.process.start):
@@ -490,7 +490,7 @@ class ConvexProgram:
     @property
     def _bounded(self) -> OccupationProgram:
         """The linear program of the unchanged rows, at the current bounds and start."""
-        program = self.program if self._begun is None else self.program.started(self._begun)
+        program = self.program if self._start is None else self.program.started(self._start)
         program = program.bounded_by(self._now, anew=False)
         if all(map(self._is_stated, self.bounds)):
             return program

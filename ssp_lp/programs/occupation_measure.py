@@ -122,7 +122,7 @@ class OccupationMeasure:
         cost, goal = float(self.program.process.cost @ self.visits), self._goal
         if self.program.ratio:
             cost = cost / goal if goal > 0.0 else np.inf
-        return self.program.sense.worth(cost)
+        return self.program.sense.stated(cost)
 
     @cached_property
     def imbalance(self) -> float:

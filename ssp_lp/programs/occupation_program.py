@@ -43,11 +43,11 @@ from ssp_lp.model.report import ByName, Report, Table
 from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.conditions import ArrivalTerm
 from ssp_lp.processes.explicit_process import ExplicitProcess, PricedMinimum, priced_minimum
-from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense
+from ssp_lp.processes.failure_semantics import AS_IS, ObjectiveSense
 from ssp_lp.processes.past_failing import check_counted_past_failing
 from ssp_lp.processes.quantities import Quantity, objective_of
-from ssp_lp.processes.quotient import Spread, spread_out
-from ssp_lp.programs.augmented import BOUND_TO_START, START, STAY, Augmented, ColumnLabel
+from ssp_lp.processes.quotient import Spread, unmerged
+from ssp_lp.programs.augmented import BOUND_TO_START, START, STAY, AugmentedProcess, ColumnLabel
 from ssp_lp.programs.occupation_measure import (
     ROUNDING,
     OccupationMeasure,
@@ -150,12 +150,12 @@ class _Reduction:
         own = map(made, values[:-1].reshape(copies, -1))
         return np.concatenate([*own, values[-1:]])
 
-    def row(self, stated: Augmented, coefficients: FloatArray) -> FloatArray:
+    def row(self, stated: AugmentedProcess, coefficients: FloatArray) -> FloatArray:
         """Translate coefficients, [pairs], from the smaller program to the stated one."""
         taken = self.program.augmented.in_all_copies(coefficients)
-        return self._by_copy(taken, self.spread.per_taking)[stated.part.pairs]
+        return self._by_copy(taken, self.spread.per_visit)[stated.part.pairs]
 
-    def departures(self, stated: Augmented, visits: FloatArray) -> FloatArray:
+    def departures(self, stated: AugmentedProcess, visits: FloatArray) -> FloatArray:
         """Translate visits, [stated pairs], from the stated program to the smaller one, [pairs]."""
         gone = self._by_copy(stated.in_all_copies(visits), self.spread.departures)
         return gone[self.program.augmented.part.pairs]
@@ -195,10 +195,10 @@ class OccupationProgram(Report):
 
     title: str  # the formulation
     objective: str  # the minimised quantity, in a word
-    augmented: Augmented
+    augmented: AugmentedProcess
     rows: tuple[ProgramRow, ...]
     ratio: bool = False  # <cost, x> / <goal, x>
-    sense: ObjectiveSense = AS_ASKED  # relation of <objective, x> to the problem's objective
+    sense: ObjectiveSense = AS_IS  # relation of <objective, x> to the problem's objective
     wants_ends: bool = False  # whether a row counts an end other than the goal
     at_least: bool = False  # whether only actions of greatest goal probability are included
     reduced: _Reduction | None = None  # the program that is solved; None: this one
@@ -274,7 +274,7 @@ class OccupationProgram(Report):
         The present program, in which components are merged, remains as ``reduced``: it is solved in
         place of the result.
         """
-        spread = spread_out(self.augmented.quotient, self.augmented.live.departs)
+        spread = unmerged(self.augmented.quotient, self.augmented.live.escape)
         if spread is None:
             return self
         reduction, augmented = _Reduction(self, spread), self.augmented.spread(spread)
@@ -562,7 +562,7 @@ class OccupationProgram(Report):
         worth = {row.name: prices.get(row.name, 0.0) * row.scale for row in self.rows}
         counting = {name: prices[name] for name, each in worth.items() if each > least_worth}
         minimum, value = self.least_of_visits(*self._lagrangian(counting), ratio)
-        return minimum, self.sense.worth(value)
+        return minimum, self.sense.stated(value)
 
     def least_of_visits(
         self, cost: FloatArray, constant: float, ratio: float = 0.0

@@ -63,7 +63,7 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
         suppress(OutOfTimeError),
         WithIncumbent(),
     ):
-        exploration = _begun(problem)
+        exploration = _start_exploration(problem)
         while final is None:
             part = exploration.part(survival_of(problem.discount), may_end, charged=charged)
             left = None if time_limit is None else max(deadline.at - time.perf_counter(), 0.0)
@@ -94,7 +94,7 @@ def explore(problem: Any, solve: Callable[..., Solution], time_limit: float | No
     return replace(final, policy=_within(final.policy), run=run, note=note)
 
 
-def _begun(problem: Problem) -> Exploration:
+def _start_exploration(problem: Problem) -> Exploration:
     """Return the exploration of a problem's implicit model after its first expansions.
 
     It begins at the start and at the states that limits name.

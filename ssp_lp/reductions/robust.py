@@ -257,31 +257,31 @@ def worst_loss(
     return loss
 
 
-def worst_means(boxes: Boxes, worth: FloatArray) -> tuple[FloatArray, FloatArray]:
+def worst_means(boxes: Boxes, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the greatest mean of given values over each pair's box, and where it is attained.
 
     Args:
         boxes: the boxes.
-        worth: value of each outcome, [outcomes].
+        values: value of each outcome, [outcomes].
 
     Returns:
         Nature's probabilities, [outcomes], and the means, [pairs].
     """
     offsets = boxes.model.outcome_offsets
-    worst = greatest_mean(boxes.low, boxes.high, worth, offsets)
-    return worst, segment_sums(worst * worth, offsets)
+    worst = greatest_mean(boxes.low, boxes.high, values, offsets)
+    return worst, segment_sums(worst * values, offsets)
 
 
-def check_ends(model: SSP, kept: BoolArray) -> None:
-    """Raise :class:`ModelError` if ``kept`` is not empty.
+def check_ends(model: SSP, trap: BoolArray) -> None:
+    """Raise :class:`ModelError` if ``trap`` is not empty.
 
     Args:
         model: the model.
-        kept: mask of the states in which nature can keep a run for ever, [states].
+        trap: mask of the states in which nature can keep a run for ever, [states].
     """
-    if kept.any():
+    if trap.any():
         raise ModelError(
-            f"state {model.states[int(np.argmax(kept))]!r}: the boxes allow probabilities with "
+            f"state {model.states[int(np.argmax(trap))]!r}: the boxes allow probabilities with "
             "which a run never ends: use give_up='anywhere', or make low positive for the outcomes "
             "that lead to an end"
         )

@@ -15,7 +15,7 @@ from ssp_lp.errors import InfeasibleError, SolverError
 from ssp_lp.model.tracked_product import rounded_in
 from ssp_lp.options import Status
 from ssp_lp.problem import Problem, as_stated
-from ssp_lp.processes.quantities import Followed
+from ssp_lp.processes.quantities import RunEvent
 from ssp_lp.solution import Solution
 
 
@@ -26,7 +26,7 @@ def rounded_down(problem: Problem) -> Problem | None:
         return None
     limits = {
         name: replace(limit, quantity=replace(limit.quantity, terms=tuple(
-            (weight, counted.rounded_down() if isinstance(counted, Followed) else counted)
+            (weight, counted.rounded_down() if isinstance(counted, RunEvent) else counted)
             for weight, counted in limit.quantity.terms
         )))
         for name, limit in problem.constraints.items()

@@ -267,7 +267,7 @@ class Statement:
         if objective is not None:
             sought = self._quantity(objective, problem.quantity)
         elif self.charge is not None:
-            worth = semantics.failing_worth if semantics.maximises else 0.0
+            worth = semantics.failing_value if semantics.maximises else 0.0
             sought = {"constant": text_of(worth), "terms": []}
         elif semantics.aim is not Aim.LEAST_COST:
             sought = {"constant": "0", "terms": [["1", "end", "goal"]]}

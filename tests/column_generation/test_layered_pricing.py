@@ -30,7 +30,7 @@ from ssp_lp.arrays import read_only, weighted
 from ssp_lp.column_generation import compiled_problem
 from ssp_lp.column_generation.column import FailureRow, required
 from ssp_lp.column_generation.compiled_layers import LayeredPricing
-from ssp_lp.column_generation.explicit_pricing import values_less_paid
+from ssp_lp.column_generation.explicit_pricing import values_less_constant
 from ssp_lp.column_generation.layered_pricing import OpenEndedPricing
 from ssp_lp.column_generation.search import _initial_column_within
 from ssp_lp.compiled import deadline
@@ -94,13 +94,13 @@ def test_one_sweep_prices_all_lower_prices(compiled, discount, accelerate):
     for budget in (least + 0.05, 0.5, 0.8) if discount is None else (0.8,):
         problem = S3P(*WINDY, budget, discount=discount)
         pricing, row = problem.compile().pricing(), FailureRow(budget, ratio=True)
-        swept = pricing.minimise(pricing.covered)
-        nearest, other = pricing.beside(swept, row)
+        swept = pricing.minimise(pricing.covered_price)
+        nearest, other = pricing.nearby_columns(swept, row)
         price = required(nearest.found_at)
         anew = pricing.minimise(price)
         worth = anew.cost + price * anew.failure
         assert nearest.cost + price * nearest.failure == pytest.approx(worth, rel=1e-9)
-        assert row.breaks(nearest) != row.breaks(other)
+        assert row.is_violated_by(nearest) != row.is_violated_by(other)
         for column in (nearest, other):
             policy = pricing.policy(column)
             played = evaluate(policy, problem)
@@ -167,7 +167,7 @@ def test_layers_swept_by_then_are_an_optimum_at_a_lower_price(monkeypatch, disco
     found = pricing.incumbent(stopped.value.choice)
     if layers == 0:
         assert found is None
-        proved, checked = pricing.prove(price), pricing.check(price, pricing.anything)
+        proved, checked = pricing.prove(price), pricing.check(price, pricing.infinite)
         assert proved.bound == pytest.approx(checked.bound, rel=1e-12)
         return
     process = replace(pricing.process, totals=pricing.process.base.totals(layers))
@@ -210,13 +210,13 @@ def test_pricing_by_layers_is_pricing_on_the_process_written_out(seed):
     swept = OpenEndedPricing(layered, tuple(row.at(counting) for row in compiled.side))
     assert swept.value_shape == written_out.value_shape
     assert swept.n_rewards == written_out.n_rewards
-    np.testing.assert_allclose(swept.first().figures, written_out.first().figures, rtol=1e-9)
+    np.testing.assert_allclose(swept.first().rewards, written_out.first().rewards, rtol=1e-9)
     for _ in range(6):
         weights = rng.uniform(0.0, 30.0, swept.n_rewards) * (rng.random(swept.n_rewards) < 0.7)
         weights[0] = float(rng.integers(2))
         column, known = swept.minimise(weights), written_out.minimise(weights)
-        least = float(known.figures @ weights)
-        assert float(column.figures @ weights) == pytest.approx(least, rel=1e-9, abs=1e-9)
+        least = float(known.rewards @ weights)
+        assert float(column.rewards @ weights) == pytest.approx(least, rel=1e-9, abs=1e-9)
         bound = swept.prove(weights, column).bound
         assert bound <= least + 1e-12 * abs(least)
         assert bound == pytest.approx(least, rel=1e-9, abs=1e-9)
@@ -228,10 +228,10 @@ def test_pricing_by_layers_is_pricing_on_the_process_written_out(seed):
         priced = weights + ratio * (np.arange(len(weights)) == 1)
         for pricing in (swept, written_out):
             proof = pricing.prove(priced, pricing.minimise(priced))
-            less = pricing.check_less(weights, ratio, ratio, proof.values)
+            less = pricing.bound_less_constant(weights, ratio, ratio, proof.values)
             assert less == pytest.approx(proof.bound - ratio, rel=1e-9, abs=1e-9)
         rounded = ratio * (1.0 + np.array([0.0, 3e-16, -3e-16, 1.0]))
-        assert values_less_paid(rounded, ratio).tolist() == [0.0, 0.0, 0.0, ratio]
+        assert values_less_constant(rounded, ratio).tolist() == [0.0, 0.0, 0.0, ratio]
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -335,12 +335,12 @@ def test_policies_are_taken_on_to_a_higher_cap(monkeypatch):
     low, high = begun.pricing(), replace(begun, cap=9).pricing()
     assert isinstance(low, OpenEndedPricing)
     column = low.minimise(np.array([1.0, 4.0, 0.5]))
-    (longer,) = high.taken_on([column])
+    (longer,) = high.reevaluated([column])
     acts = evaluate(low.policy(column), problem)
     true = acts.objective * acts.goal_probability
     assert acts == evaluate(high.policy(longer), problem)
     assert column.cost < longer.cost < true  # each counts what is paid up to its cap
-    np.testing.assert_allclose(column.figures[1:], longer.figures[1:], rtol=1e-12)
+    np.testing.assert_allclose(column.rewards[1:], longer.rewards[1:], rtol=1e-12)
     for pricing, each in ((low, column), (high, longer)):
         assert pricing.true_cost(each) == pytest.approx(true, rel=1e-12)
     optimum = rows_optimum(begun, SolveOptions(1e-9))
@@ -370,7 +370,7 @@ def test_blocks_of_layers_are_as_layer_by_layer(accelerate, monkeypatch, price):
         monkeypatch.setattr(sweep, "_LEAST_BLOCK", least)
         pricing = LayeredPricing(process)
         assert pricing.sweep.by_blocks is (least == 16)
-        choice, begun = pricing.sweep.room_for_choice(), np.zeros((process.cap, 4))
+        choice, begun = pricing.sweep.empty_choice(), np.zeros((process.cap, 4))
         task = at_price(pricing.sweep, price, 0.0)
         measures = pricing.sweep.minimise(task, choice, begun)
         proof, lowered = pricing.prove(price, slack=True), pricing.check(price, limits, slack=True)
@@ -393,7 +393,7 @@ def test_one_sweep_proves_what_it_finds(accelerate, monkeypatch, discount):
     price = float(process.totals.values[process.cap - 1])
     column, row = pricing.minimise(price), FailureRow(0.3, ratio=True)
     assert column.totals is not None
-    beside = pricing.beside(column, row)
+    beside = pricing.nearby_columns(column, row)
     assert len(beside) == 2
     monkeypatch.setattr(sweep, "_LEAST_BLOCK", process.cap)
     alone = LayeredPricing(process)

@@ -48,7 +48,7 @@ class Trips(PricingProblem):
             choice.append(onward[place])
             place = self.tails[choice[-1]]
         figures = self.rewards[choice].sum(axis=0)
-        return Column.of_figures(figures, np.array(choice), totals=values)
+        return Column.of_rewards(figures, np.array(choice), totals=values)
 
     def prove(self, weights, best, *, slack=False):
         return self.check(weights, self._distances(weights)[0])
@@ -84,9 +84,9 @@ def test_the_search_asks_a_process_for_columns_and_bounds_alone(seed):
     rewards = np.round(rng.uniform(0.1, 3.0, (len(heads), 4)), 1)
     rewards[:, 1] = 0.0
     trips = Trips(heads, tails, rewards)
-    cheapest = trips.first().figures
+    cheapest = trips.first().rewards
     pool = Pool(trips, [trips.minimise(weights) for weights in np.eye(4)[[0, 2, 3]]])
-    least = pool.figures.min(axis=1)
+    least = pool.rewards.min(axis=1)
     bounds = least[2:] + 0.6 * (cheapest[2:] - least[2:]) + 0.5
     rows = pool.rows(np.array([2, 3]), bounds)
     begun = Master(pool, rows, np.zeros(2), elastic=True)
@@ -96,7 +96,7 @@ def test_the_search_asks_a_process_for_columns_and_bounds_alone(seed):
     flow -= sp.csr_array((np.ones(len(tails)), (tails, np.arange(len(tails)))), (n, len(tails)))
     known = linprog(rewards[:, 0], rewards[:, 2:].T, bounds, flow, np.eye(n)[0] - np.eye(n)[-1])
     assert found.objective == pytest.approx(known.fun, rel=1e-9)
-    assert (found.figures[2:] <= bounds * (1.0 + 1e-12)).all()
+    assert (found.rewards[2:] <= bounds * (1.0 + 1e-12)).all()
     proof = pool.proved(rows.weights(found.prices))
     assert proof.bound - found.prices @ bounds == pytest.approx(known.fun, rel=1e-9)
     routes = [trips.policy(column) for column in found.columns]

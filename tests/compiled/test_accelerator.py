@@ -50,7 +50,7 @@ def test_backups_are_the_same_to_the_last_bit(accelerate, seed):
     def work():
         backup = best_pairs(offsets, transitions, cost, values, held)
         safe = safe_minima(offsets, transitions, cost, fixed, fixed, values)
-        return backup.minima, backup.choice[some], backup.here[some], safe
+        return backup.minima, backup.choice[some], backup.current_values[some], safe
 
     assert_same(*both(accelerate, work))
 

@@ -90,7 +90,7 @@ def test_nothing_is_compiled_in_a_short_call(loops):
 def test_earlier_processes_count(loops, tmp_path):
     """Scripts of a short solve come to compiled loops; the record grows with each of them."""
     runs = 1
-    while not accelerator._Loops().is_worth("layers.sweep_layers", SECOND // 10):
+    while not accelerator._Loops().runs_compiled("layers.sweep_layers", SECOND // 10):
         runs += 1
     assert 20 < runs < 60
     record = next(tmp_path.rglob(accelerator._RECORD))
@@ -108,16 +108,16 @@ def test_a_damaged_record_is_empty(loops, damage):
     folder = accelerator.cache_folders()[0]
     folder.mkdir(parents=True)
     (folder / accelerator._RECORD).write_bytes(damage)
-    assert not loops.is_worth("backups.back_up", SECOND // 2)
-    assert loops.is_worth("backups.back_up", SECOND // 2)
+    assert not loops.runs_compiled("backups.back_up", SECOND // 2)
+    assert loops.runs_compiled("backups.back_up", SECOND // 2)
     assert json.loads((folder / accelerator._RECORD).read_text())["backups.back_up"] == SECOND
 
 
 def test_without_a_folder_to_write_in_a_process_counts_alone(loops, monkeypatch, tmp_path):
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
-    assert not loops.is_worth("backups.back_up", SECOND // 2)
-    assert loops.is_worth("backups.back_up", SECOND // 2)
+    assert not loops.runs_compiled("backups.back_up", SECOND // 2)
+    assert loops.runs_compiled("backups.back_up", SECOND // 2)
 
 
 def test_a_loop_for_other_types_is_not_compiled_before_it_is_due(loops):

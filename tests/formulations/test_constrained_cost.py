@@ -563,7 +563,7 @@ def test_stabilised_prices_end_at_the_same_optimum(in_between):
     model, fuel = ring_model(300, np.random.default_rng(1))
     limits = {"steps": CostLimit(np.ones(900), 9.0), "fuel": CostLimit(fuel, 24.0)}
     problem = ConstrainedCost(model, 0, limits, failure_budget=0.2)
-    instance = compiled_constrained(problem).settled()
+    instance = compiled_constrained(problem).at_least_failure()
     opened = phase_one(instance, instance, SolveOptions(1e-9))
     found = generate(replace(opened, in_between=in_between), SolveOptions(1e-9))
     assert found.finished

@@ -26,7 +26,7 @@ from ssp_lp import (
     evaluate,
     solve,
 )
-from ssp_lp.methods.risk import _TailMeanSearch, question_of
+from ssp_lp.methods.risk import _TailMeanSearch, feasible_set
 from ssp_lp.options import CERTIFYING
 from strategies import often, problems
 
@@ -267,7 +267,7 @@ HALF = CVaR(model_of({"x": LAWS}), "x", 0.5)
 
 def test_cvar_bounds_all_thresholds_of_an_interval():
     """One sweep bounds the least integrand at every threshold in it, and is sharp at one."""
-    search = _TailMeanSearch(HALF, question_of(HALF), 0.5, CERTIFYING)
+    search = _TailMeanSearch(HALF, feasible_set(HALF), 0.5, CERTIFYING)
     least, count = {}, 6  # 0, 50, 60, 80, 81, 85
     for threshold in range(count):
         search.attempt(threshold)
@@ -275,10 +275,10 @@ def test_cvar_bounds_all_thresholds_of_an_interval():
     assert search.best is not None
     assert search.best.value == pytest.approx(50.124) == pytest.approx(min(least.values()))
     for first in range(count):
-        assert search.refuted(first, first) == pytest.approx(least[first], rel=1e-8)
+        assert search.bound_between(first, first) == pytest.approx(least[first], rel=1e-8)
         for last in range(first, count):
             inside = min(least[threshold] for threshold in range(first, last + 1))
-            assert search.refuted(first, last) <= inside * (1.0 + 1e-9)
+            assert search.bound_between(first, last) <= inside * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("action", list(LAWS))

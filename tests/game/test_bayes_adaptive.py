@@ -467,7 +467,7 @@ def test_a_game_whose_value_is_what_is_owed_proves_nothing_but_rounding():
     reply = BestResponse(1.0, 0.5, 0.0)
     for alpha in (1e-6, 0.3, 0.5, 1.0):
         game = Game(7.0, 0.25)
-        least = game.owed(alpha, 0.0)
+        least = game.failure_term(alpha, 0.0)
         told = _threshold_from_game_value(Equilibrium(game, reply, reply, alpha, least, ()))
         assert -1e-14 * 7.0 / alpha <= told <= 0.0
 

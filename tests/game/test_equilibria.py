@@ -57,7 +57,7 @@ def test_the_terms_of_a_payoff():
         (1e-14, 1.0, True), (0.0, 1.0, False), (1e-11, 0.0, True), (1e-13, 0.0, False),
     ):  # fmt: skip
         reply = BestResponse(1.0, (1.0 - origin) - success, 0.0, origin=origin)
-        assert reply.is_hopeful is hopeful
+        assert reply.has_conditional_cost is hopeful
 
 
 @pytest.mark.parametrize("origin", [0.0, 1.0])
@@ -68,13 +68,13 @@ def test_whoever_uses_up_the_budget_owes_the_payoff_less_its_objective(origin, r
     game, spends = Game(2.0, 0.25, stated), BestResponse(3.0, 0.25 - origin, 0.0, origin=origin)
     for alpha in (0.0, 0.3, 0.9, 1.0):
         owed = game.payoff(alpha, spends) - alpha * spends.objective
-        assert game.owed(alpha, origin) == pytest.approx(owed, abs=1e-15)
+        assert game.failure_term(alpha, origin) == pytest.approx(owed, abs=1e-15)
 
 
 def test_a_room_of_more_digits_than_the_budget():
     """1 - 1e-20 is 1 in double precision; the room of -1e-20 keeps what is owed."""
-    assert Game(3.0, 1.0, -1e-20).owed(0.5, 1.0) == pytest.approx(-1.5e-20, rel=1e-12)
-    assert Game(3.0, 1.0).owed(0.5, 1.0) == 0.0
+    assert Game(3.0, 1.0, -1e-20).failure_term(0.5, 1.0) == pytest.approx(-1.5e-20, rel=1e-12)
+    assert Game(3.0, 1.0).failure_term(0.5, 1.0) == 0.0
 
 
 @pytest.mark.parametrize(("stake", "budget"), [(-1e-9, 0.5), (1.0, 0.0), (1.0, -0.5)])

@@ -39,7 +39,7 @@ from ssp_lp import (
     sweep,
     visits,
 )
-from ssp_lp.cargo import Cargo, Shipment, unloaded
+from ssp_lp.cargo import Models, Store, loaded
 
 ROOT = Path(__file__).parents[2]
 BUDGETS = [0.02, 0.001, 0.05, 0.08]
@@ -198,7 +198,7 @@ def test_processes_answer_and_one_that_dies_is_replaced(tmp_path) -> None:
 def test_a_problem_that_processes_die_of_is_asked_three_times(monkeypatch, most) -> None:
     """The others lose nothing by it: what was in hand with it is asked again alone."""
     deaths = []
-    monkeypatch.setattr(answers._Crew, "_new_pool", lambda _: Frail(deaths, most))
+    monkeypatch.setattr(answers._Pool, "_new_pool", lambda _: Frail(deaths, most))
     problems = sweep(MCMP, FIRST, "depot", failure_budget=np.linspace(0.01, 0.1, 7))
     problems.insert(2, Deadly(FIRST, "depot", 0.05))
     found = solve_many(problems, workers=1)
@@ -238,7 +238,7 @@ class Stillborn(Executor):
 def test_processes_that_never_start_again_end_the_call_and_nobody_is_blamed(monkeypatch) -> None:
     deaths = []
     pools = chain([Frail(deaths, 1)], repeat(Stillborn()))
-    monkeypatch.setattr(answers._Crew, "_new_pool", lambda _: next(pools))
+    monkeypatch.setattr(answers._Pool, "_new_pool", lambda _: next(pools))
     problems = sweep(MCMP, FIRST, "depot", failure_budget=np.linspace(0.01, 0.1, 7))
     problems.insert(4, Deadly(FIRST, "depot", 0.05))
     found = solve_many(problems, workers=1)
@@ -247,7 +247,7 @@ def test_processes_that_never_start_again_end_the_call_and_nobody_is_blamed(monk
 
 
 def test_processes_that_cannot_be_started_say_so(monkeypatch) -> None:
-    monkeypatch.setattr(answers._Crew, "_new_pool", lambda _: Stillborn())
+    monkeypatch.setattr(answers._Pool, "_new_pool", lambda _: Stillborn())
     with pytest.raises(SolverError, match="die while they start"):
         solve_many([MCMP(FIRST, "depot", 0.05)])
 
@@ -310,12 +310,12 @@ def test_models_are_sent_once() -> None:
 def test_a_worker_maps_the_arrays_of_a_model(tmp_path) -> None:
     """They are the file's own bytes, aligned and read-only; one cost for all takes no room."""
     model, path = replace(FIRST, costs=np.broadcast_to(1.0, FIRST.n_outcomes)), tmp_path / "models"
-    ours = Cargo()
+    ours = Store()
     with path.open("wb") as file:
         ours.load([model], file)
-    there = unloaded(Shipment(str(path)))
+    there = loaded(Models(str(path)))
     asked = there.unpack(ours.pack(MCMP(model, "depot", 0.05)))
-    unloaded.cache_clear()
+    loaded.cache_clear()
     assert asked.model is not model
     assert asked.model.states == model.states
     for name, array in vars(model).items():

@@ -14,7 +14,7 @@ from small_models import model_of
 from ssp_lp import SSP, ModelError, OutOfTimeError, Status, certify, evaluate, solve, visits
 from ssp_lp.compiled import deadline
 from ssp_lp.compiled.deadline import Stop
-from ssp_lp.methods.incumbent import Incumbent, _incumbent_value, by_moments, worth_bound
+from ssp_lp.methods.incumbent import Incumbent, _incumbent_value, by_moments, cheapest_way_bound
 from written_models import written
 
 LAYERED = layered(6, 5, seed=2)
@@ -76,7 +76,7 @@ def test_no_search_ends_without_a_policy(name, monkeypatch):
     found = evaluate(solution.policy, problem)
     assert found.objective == pytest.approx(solution.objective, rel=1e-9)
     assert found.failure_probability <= problem.failure_budget + 1e-12
-    assert 0.0 < worth_bound(problem) <= solution.lower_bound <= solution.objective
+    assert 0.0 < cheapest_way_bound(problem) <= solution.lower_bound <= solution.objective
     if "limits" in name:
         assert found.secondary_costs["early"] <= 1.5 + 1e-9
 
@@ -135,8 +135,8 @@ def test_the_bound_of_the_least_total_is_attained_where_one_way_leads():
     )
     for level in (0.1, 0.9):
         risky = CostQuantile(model, "a", level, 0.5)
-        assert worth_bound(risky) == pytest.approx(0.3, rel=1e-11)
-        assert worth_bound(risky) <= solve(risky).objective
+        assert cheapest_way_bound(risky) == pytest.approx(0.3, rel=1e-11)
+        assert cheapest_way_bound(risky) <= solve(risky).objective
     for problem, bound in (
         (S3P(model, {"a": 0.5, "c": 0.5}, 0.5), 0.3),
         (CVaR(model, "c", 0.5), 0.6),
@@ -145,7 +145,7 @@ def test_the_bound_of_the_least_total_is_attained_where_one_way_leads():
         (Lateness(model, "c", 0.4), 0.2),  # charged what its total costs
         (Lateness(model, "c", 0.7), 0.0),
     ):
-        assert worth_bound(problem) == pytest.approx(bound, rel=1e-11)
+        assert cheapest_way_bound(problem) == pytest.approx(bound, rel=1e-11)
 
 
 def test_ctrl_c_while_an_answer_is_looked_for_ends_the_call(monkeypatch):

@@ -11,7 +11,7 @@ from small_models import model_of
 from ssp_lp import certify, evaluate, solve, success_costs
 from ssp_lp.accumulated_cost.charges import LateCharge
 from ssp_lp.methods import risk
-from ssp_lp.methods.risk import _Guess, question_of
+from ssp_lp.methods.risk import _Guess, feasible_set
 from ssp_lp.options import SolveOptions
 from written_models import written
 
@@ -42,12 +42,12 @@ FREE_STEPS = written(
 def test_what_is_best_depends_on_what_is_left(model, start, budget, on, accelerate):
     """The bounds of one sweep at the greatest bound are those of a sweep at each."""
     accelerate(on)
-    question = question_of(CostQuantile(model, start, 0.5, budget))
+    question = feasible_set(CostQuantile(model, start, 0.5, budget))
     for guess in (_Guess(0.3, {}), _Guess(0.6, {}, slack=True), _Guess(5.0, {})):
-        shares = question.late_shares(30, guess)
+        shares = question.exceedance_bounds(30, guess)
         for number in range(0, 31, 3):
             charge = LateCharge(question.thresholds.total(number))
-            alone = question.refuted_below(charge, guess)
+            alone = question.charge_bound(charge, guess)
             assert shares(number) == pytest.approx(alone, rel=1e-12, abs=1e-13)
 
 
@@ -109,8 +109,8 @@ def test_bounds_that_no_price_refutes_are_doubled(monkeypatch):
     """While no policy keeps to a bound the search does not creep from one to the next."""
     asked = CostQuantile(corridor(20), 0, 0.9999, 0.5)
     least = solve(asked).objective
-    monkeypatch.setattr(risk, "_last_refuted", lambda *given: -1)
-    found = risk.least_quantile(asked, question_of(asked), SolveOptions(), (1.0, 0.0))
+    monkeypatch.setattr(risk, "_last_excluded", lambda *given: -1)
+    found = risk.least_quantile(asked, feasible_set(asked), SolveOptions(), (1.0, 0.0))
     assert found.objective == least > 64
     assert int(found.run.reason.split()[0]) <= 7 + 2 * int(np.ceil(np.log2(least)))
 

@@ -234,7 +234,7 @@ def test_runs_within_a_layer_that_hardly_end_are_evaluated_with_care():
     """A solver that loses a part of what ends is seen, and its totals are verified."""
     model = written("a go: 0.5 b 0, 0.3 g 1, 0.2 d 1\n b go: 0.75 a 0, 0.25 g 2")
     sweep = S3P(model, "a", 0.9).compile().pricing().sweep
-    choice = sweep.room_for_choice()
+    choice = sweep.empty_choice()
     choice[:] = 0
     beyond = sweep.process.measures_beyond(1.0)
     exact = sweep.measure(choice, beyond)

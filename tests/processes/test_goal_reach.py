@@ -169,7 +169,7 @@ def test_sweeps_enclose_what_policy_iteration_settles(model):
     start = np.zeros(model.n_states)
     start[0] = 1.0
     settled = greatest_goal_reach(model, start=start)
-    swept = greatest_goal_reach(model, start=start, last_digits=False)
+    swept = greatest_goal_reach(model, start=start, precise=False)
     assert (swept.goal <= settled.bound + 1e-12).all()
     assert (swept.bound >= settled.goal - 1e-12).all()
     assert swept.bound[0] - swept.goal[0] <= 1e-11

@@ -657,7 +657,7 @@ def test_the_start_and_the_bounds_pay_for_the_optimum_by_the_prices_of_solutions
         if program.ratio:
             assert left == pytest.approx(0.0, abs=1e-8 * max(measure.objective, 1.0))
         else:
-            worth = program.sense.worth(left)
+            worth = program.sense.stated(left)
             assert worth == pytest.approx(measure.objective, rel=1e-7, abs=1e-8)
         excess = measure.values.reduced_costs
         assert excess.min() >= -1e-8 * (1.0 + abs(begun))
@@ -779,7 +779,7 @@ def test_prices_hold_within_their_ranges():
                 if abs(other - bound) < 1e-6 or (name == "failure" and other > 1.0):
                     continue
                 moved = program.bounded_by({name: other}).solve().objective
-                change = program.sense.worth(at.objective) - program.sense.worth(moved)
+                change = program.sense.stated(at.objective) - program.sense.stated(moved)
                 worth = at.duals[name] * (other - bound)
                 if at.activity[name] < bound - 1e-9:  # then it has no price
                     assert abs(change) <= 1e-7 * (1.0 + abs(moved))

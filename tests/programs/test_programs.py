@@ -525,7 +525,7 @@ def test_a_file_is_solved_by_highs_alone_and_comes_back(ending, tmp_path):
         program.write(path)
         solver = highs_of(path)
         solver.run()
-        found = program.sense.worth(solver.getInfo().objective_function_value)
+        found = program.sense.stated(solver.getInfo().objective_function_value)
         assert found == pytest.approx(known.objective, rel=1e-7, abs=1e-7)
         solver.writeSolution(str(tmp_path / "program.sol"), 0)
         measure = program.read_solution(tmp_path / "program.sol")

@@ -22,7 +22,7 @@ from ssp_lp import (
     secondary_cost,
     solve,
 )
-from ssp_lp.methods.incumbent import worth_bound
+from ssp_lp.methods.incumbent import cheapest_way_bound
 from ssp_lp.verification.certify import certificate_of
 
 PAID = evaluate(solve(MCMP(FIRST, "depot", 0.05)).policy, MCMP(FIRST, "depot", 0.05))
@@ -154,7 +154,7 @@ def test_a_proof_that_does_not_come_is_that_of_the_cheapest_way(problem, error, 
             return
         told = certify(solution)
     assert told.accepted
-    cheapest = worth_bound(problem)
+    cheapest = cheapest_way_bound(problem)
     assert (told.lower_bound if told.upper_bound is None else told.upper_bound) == cheapest
     assert told.least_failure_bound is None
     assert certify(solution).gap <= told.gap
@@ -171,7 +171,7 @@ def test_the_better_of_two_bounds_is_stated(problem, monkeypatch):
     """A wide proof gives way to the cheapest way, a narrow or a refused one does not."""
     solution = solve(problem)
     case = certificates.Case.of_solution(solution)
-    approach, cheapest = certificates.approach_to(case), worth_bound(problem)
+    approach, cheapest = certificates.approach_to(case), cheapest_way_bound(problem)
     above = certify(solution).upper_bound is not None
     honest = approach.prove(solution, solution.evaluation, 0.0)
     for far, reason, known in (
@@ -195,12 +195,12 @@ def test_an_answer_without_a_search_is_bounded_by_the_cheapest_way(monkeypatch):
     solution = replace(solve(problem), value_function=None, status=Status.TIME_LIMIT)
     told = certify(solution)
     assert told.accepted
-    assert told.lower_bound == worth_bound(problem)
+    assert told.lower_bound == cheapest_way_bound(problem)
     refused(None, certify, replace(solution, status=Status.OPTIMAL))
     refused(None, certify, replace(solve(OTHERS[0]), value_function=None, status=Status.TIME_LIMIT))
     afresh = solve(LAWS[0])
     cut_short = certify(replace(afresh, value_function=None, status=Status.TIME_LIMIT))
-    assert cut_short.lower_bound == certify(afresh).lower_bound > worth_bound(LAWS[0])
+    assert cut_short.lower_bound == certify(afresh).lower_bound > cheapest_way_bound(LAWS[0])
 
 
 def test_the_cheapest_way_bounds_no_cost_until_failure():
