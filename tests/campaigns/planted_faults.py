@@ -42,8 +42,8 @@ FAULTS = (
     Fault(
         "threshold: what is owed is multiplied by the budget",
         "ssp_lp/game/optimum.py",
-        "owed = played.game.owed(played.alpha, played.origin)",
-        "owed = played.game.budget * played.game.owed(played.alpha, played.origin)",
+        "owed = played.game.failure_term(played.alpha, played.origin)",
+        "owed = played.game.budget * played.game.failure_term(played.alpha, played.origin)",
         GAME,
     ),
     Fault(

@@ -80,7 +80,7 @@ GO = {"s": {"go": [(1.0, "g", 1.0)]}}
         (GO, {"state_labels": {"wall": ["w"]}}, "not a state"),
         (GO, {"goal": "g"}, "set of states"),
         (GO, {"state_labels": {"wall": "wall"}}, "not a string"),
-        (GO, {"state_labels": {"gave_up": ["s"]}}, "taken"),
+        (GO, {"state_labels": {"gave_up": ["s"]}}, "reserved"),
     ],
 )
 def test_errors_about_states_and_names(choices, options, complaint):
