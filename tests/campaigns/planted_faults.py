@@ -165,7 +165,7 @@ FAULTS = (
     Fault(
         "pricing by layers: part of a sweep is followed at the full price",
         "ssp_lp/column_generation/compiled_layers.py",
-        "begun = self._process_begun_in(layer)",
+        "begun = self._process_from(layer)",
         "begun = self.process",
         "tests/column_generation/test_layered_pricing.py",
     ),
