@@ -159,10 +159,11 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     steps = np.column_stack([begin, here, action, there[product.successors]])
     after: dict[tuple[int, ...], dict[float, int]] = {}
     for step, cost, then in zip(steps.tolist(), product.costs.tolist(), end.tolist(), strict=True):
-        if after.setdefault(tuple(step), {}).setdefault(cost, then) != then:
+        if (other := after.setdefault(tuple(step), {}).setdefault(cost, then)) != then:
             told = f"a step to state {product.original.states[step[3]]!r} at cost {cost:g}"
-            raise ModelError(f"a controller sees only states and costs; after {told} these leave "
-                             f"open whether the memory is {product.memories[then]!r}")  # fmt: skip
+            told += f" the memory may be {product.memories[other]!r} or {product.memories[then]!r}"
+            raise ModelError(f"a controller sees only states and costs; after {told}: give the "
+                             "action's outcomes different successors or costs")  # fmt: skip
     moves: list[list[Any]] = []
     for step, by_cost in after.items():
         if len(ends := set(by_cost.values())) > 1:
