@@ -159,11 +159,10 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     steps = np.column_stack([begin, here, action, there[product.successors]])
     after: dict[tuple[int, ...], dict[float, int]] = {}
     for step, cost, then in zip(steps.tolist(), product.costs.tolist(), end.tolist(), strict=True):
-        if (other := after.setdefault(tuple(step), {}).setdefault(cost, then)) != then:
+        if after.setdefault(tuple(step), {}).setdefault(cost, then) != then:
             told = f"a step to state {product.original.states[step[3]]!r} at cost {cost:g}"
-            told += f" the memory may be {product.memories[other]!r} or {product.memories[then]!r}"
-            raise ModelError(f"a controller sees only states and costs; after {told}: give the "
-                             "action's outcomes different successors or costs")  # fmt: skip
+            raise ModelError(f"a controller cannot know the policy's memory after {told}: "
+                             "give the outcomes different successors or costs")  # fmt: skip
     moves: list[list[Any]] = []
     for step, by_cost in after.items():
         if len(ends := set(by_cost.values())) > 1:
