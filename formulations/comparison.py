@@ -125,7 +125,8 @@ def compare_criteria(
         verbose: show progress (``ssp_lp.progress_shown``).
 
     Returns:
-        One row per criterion. The row of an infeasible criterion has the reason instead of numbers.
+        A table with one row per criterion and setting, such as "MCMP, failure budget 0.05". The row
+        of an infeasible problem has the reason instead of numbers.
 
     Raises:
         ModelError: an unknown start, or an argument out of range.

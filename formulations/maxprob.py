@@ -28,8 +28,9 @@ class MaxProb(Formulation):
         exact; wandering for ever is failure. Any policy of greatest probability may be returned:
         ``MCMP`` and ``S3P`` with least failure choose the cheapest. Limited quantities are counted
         until failure is declared: ``give_up`` says where a policy may declare it. With "dead_ends"
-        they are counted until the goal is unreachable, as in the multi-objective queries of Storm
-        and PRISM, ``multi(Pmax=? [F "goal"], R<=b [C])``.
+        they are counted until the goal is reached or unreachable. If nothing is counted after
+        that, this is the query ``multi(Pmax=? [F "goal"], R<=b [C])`` of Storm and PRISM, whose
+        ``[C]`` counts over the whole run.
 
     Reference:
         Kolobov, Mausam, Weld and Geffner, 2011; paper, section 2.3.

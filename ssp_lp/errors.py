@@ -119,7 +119,11 @@ class SolverError(SSPError, RuntimeError):
 
 
 class OutOfTimeError(SolverError):
-    """The time limit passed before a policy that satisfies all limits was found."""
+    """The time limit passed before a task was finished.
+
+    ``solve`` raises it if no policy that satisfies all limits was found. Other functions raise it
+    if their own task is unfinished, which the message names, such as "a bound was proved".
+    """
 
 
 class MissingDependencyError(SSPError, ImportError):

@@ -304,9 +304,9 @@ class Solution(Facts, ReadOnlyCopies):
     def budget_slope(self) -> float | None:
         """Decrease of the optimum c* per unit of the failure budget: -d c* / d budget.
 
-        In case M this is the price of failure without the penalty, and in case S this price divided
-        by 1 - budget. If a probability is maximised, the value is the increase of the optimum. None
-        without a price, or if the penalty is infinite.
+        In case M this is the price of failure minus the penalty, if there is one; in case S it is
+        the price of failure divided by 1 - budget. If a probability is maximised, the value is the
+        increase of the optimum. None without a price, or if the penalty is infinite.
         """
         price, budget = self._multiplier, self.problem.failure_budget
         if price is None or budget is None or not self.problem.ratio:
@@ -315,7 +315,7 @@ class Solution(Facts, ReadOnlyCopies):
 
     @property
     def _multiplier(self) -> float | None:
-        """Multiplier of the failure row: the failure price without the penalty."""
+        """Multiplier of the failure row: the failure price minus the penalty."""
         penalty = self.problem.semantics.penalty
         if self.failure_price is None or penalty == float("inf"):
             return None
@@ -534,7 +534,7 @@ def as_solved(solution: Solution, verb: str) -> Solution:
         ModelError: the argument is not a Solution.
     """
     if not isinstance(solution, Solution):
-        raise ModelError(f"{verb}() takes a solution, such as solve(problem): {in_short(solution)}")
+        raise ModelError(f"{verb}() takes a solution from solve(problem), not {in_short(solution)}")
     policy, problem = on_one_model(solution.policy, solution.problem, verb)
     return replace(solution, policy=policy, problem=problem)
 

@@ -359,11 +359,14 @@ class LayerMoves:
         return model.outcome_offsets, successors, model.probabilities, self.classes
 
     def _taken(self, pairs: IntArray, in_classes: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Return the moves of some classes: position of the pair, outcome and class, [moves] each.
+        """Return the moves whose cost is in some classes.
 
         Args:
             pairs: the pair taken in each of k states, negative if none, [k].
-            in_classes: mask of the classes, [classes].
+            in_classes: mask of the classes of equal step cost, [classes].
+
+        Returns:
+            The position of the move's pair in ``pairs``, its outcome and its class, [moves] each.
         """
         where = np.flatnonzero(pairs >= 0)
         begin = self.model.outcome_offsets[pairs[where]]

@@ -149,10 +149,10 @@ class AccumulatedCost:
 
 
 def spread_layer(base: AccumulatedCost, spread: Spread, start: FloatArray) -> AccumulatedCost:
-    """Return a layer in which components are not collapsed and self-loops are not removed.
+    """Return the process in which components are not collapsed and self-loops are not removed.
 
     Args:
-        base: the layer as methods use it, without discount.
+        base: the process as methods use it, without discount.
         spread: the pairs of its quotient before components were collapsed.
         start: distribution over states, [states].
     """

@@ -460,12 +460,12 @@ class Sweep:
         """Sweep backward layer by layer.
 
         Args:
-            step: computes a layer's numbers from the layer and the numbers of the layers ahead,
-                [layers * nodes, ...].
-            beyond: numbers beyond the cap, [layers beyond, nodes, ...] each.
+            step: function (layer, values in the layers ahead, [layers * nodes, ...] each) -> values
+                in the layer, [nodes, ...] each.
+            beyond: values in the layers beyond the cap, [layers beyond, nodes, ...] each.
 
         Yields:
-            The layer, and its numbers, [nodes, ...] each.
+            The number of the layer, and the values of its nodes, [nodes, ...] each.
         """
         leads, span = self.process.totals.ahead, self.process.totals.span
         size = _SLACK * span + 1  # of the numbers at hand, the nearest layer in front

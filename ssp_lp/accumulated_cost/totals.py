@@ -563,13 +563,19 @@ def resolution_for(
 
 @stored_with_model
 def resolution_of_costs(model: SSP) -> Resolution | None:
-    """Return the resolution of a model's totals, or None if multiples of its unit are enough."""
+    """Return the resolution of totals without the cost of the step that ends a run.
+
+    None if multiples of a unit are enough.
+    """
     return _resolution(model, step_costs(model)[1])
 
 
 @stored_with_model
 def resolution_of_law(model: SSP) -> Resolution | None:
-    """Return the resolution of a model's totals, with the costs of steps into the goal."""
+    """Return the resolution of totals that include the cost of the step into the goal.
+
+    None if multiples of a unit are enough.
+    """
     return _resolution(model, np.union1d(step_costs(model)[1], last_steps(model)[1]))
 
 

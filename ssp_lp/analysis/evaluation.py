@@ -335,11 +335,12 @@ def evaluated_measures(chain: Chain, problem: Problem, *, declared: bool = False
 
 
 def _measures_of(totals: FloatArray, ends: FloatArray) -> _Measures:
-    """Clip totals to possible values, and return them as measures with the probabilities of ends.
+    """Return the figures of a policy: totals clipped to possible values, probabilities of ends.
 
     Args:
         totals: goal, failure, cost of success and cost until failure, [discounts, 4].
-        ends: probability of each end except wandering, in the order of ``end_marks``, [ways].
+        ends: probability of each end in the order of ``end_marks``, [ways]. The probability of
+            running for ever ("wandering") is added here.
     """
     for row in totals:  # goal and failure within [0, 1]; either is 0 if the other is sure
         goal, failure = row[[_GOAL, _FAILED]]

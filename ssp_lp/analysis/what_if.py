@@ -450,10 +450,10 @@ class _Optimum:
 
     @cached_property
     def failures(self) -> sp.csr_array:
-        """Failures for which a run pays the cost of an action, [pairs + 1, states].
+        """Expected number of failures that charge an action's cost, [process pairs + 1, states].
 
-        For each visit of a column (last row: at the start) and each state whose cheapest action is
-        charged.
+        Entry (pair, state) counts failures that charge the cheapest action of the state, per visit
+        of the pair. The last row counts failures at the start.
         """
         program, model = self.measure.program, self.problem.model
         quotient, (column, outcome, _, _) = program.augmented.quotient, self.outcomes

@@ -844,7 +844,7 @@ class CompiledExplicit(CompiledProblem):
 
     @property
     def _most_pairs(self) -> int:
-        """Greatest number of pairs, over all layers together."""
+        """Limit on the number of pairs, summed over all layers."""
         return _MOST_SWEPT if self._is_swept else written_out.MOST_WRITTEN
 
     def refined(self, price: float) -> CompiledExplicit | None:

@@ -162,7 +162,7 @@ def limited(time_limit: float | None, doing: str) -> Iterator[None]:
 
     Args:
         time_limit: seconds.
-        doing: the task as a clause for the error, such as "a bound was proved".
+        doing: clause of the error that says when the task is done, such as "a bound was proved".
 
     Raises:
         ModelError: the limit is not a number of seconds.

@@ -241,21 +241,20 @@ def gather_inside(
     indptr: Array, indices: Array, data: Array, exits: Array, states: Array, position: Array,
     own_indptr: Array, own_indices: Array, own_data: Array, escape: Array, outflow: Array,
 ) -> None:  # fmt: skip
-    """Write a component's equations for sweeps, divided by the probability of departing.
+    """Write a component's equations for sweeps, each divided by its state's ``escape``.
 
     Args:
         indptr: offsets of the chain's rows, [states + 1].
         indices: [entries].
         data: [entries].
-        exits: [states].
+        exits: probability of leaving the chain, [states].
         states: the members, in the order in which they are swept, [members].
         position: position of each state among the members, -1 for other states, [states].
         own_indptr: offsets of the members' rows, [members + 1].
         own_indices: written: positions of successors among the members; the member's own position
             in unused entries, [own entries].
-        own_data: written: probabilities divided by that of departing; 0 in unused entries, [own
-            entries].
-        escape: written: the probability of departing, [members].
+        own_data: written: probabilities divided by ``escape``; 0 in unused entries, [own entries].
+        escape: written: the probability of leaving the state, [members].
         outflow: written: the probability of leaving the component, [members].
     """
     for i in prange(states.size):
@@ -285,8 +284,8 @@ def gather_outside(
 ) -> None:  # fmt: skip
     """Write a component's right sides: rewards plus expected totals of successors outside.
 
-    They are divided by the probability of departing. The arguments are those of ``gather_inside``,
-    and:
+    Each is divided by ``escape``, the probability of leaving its state. The arguments are those of
+    ``gather_inside``, and:
 
     Args:
         rewards: [states, rewards].
@@ -582,11 +581,11 @@ def lower_in_order(
     """Reduce the values of a process without cycles until none exceeds its backup.
 
     Args:
-        offsets: [states + 1].
-        indptr: [pairs + 1].
-        indices: [entries].
-        data: [entries].
-        exits: [pairs].
+        offsets: offsets of the states' pairs, [states + 1].
+        indptr: offsets of the pairs' entries, [pairs + 1].
+        indices: successors, [entries].
+        data: their probabilities, [entries].
+        exits: probability that the pair ends the run, [pairs].
         order: states, each after the states that it leads to, [states].
         cost: [pairs].
         epsilon: the machine epsilon.

@@ -258,7 +258,7 @@ class PartitionedProcess(PricingProblem):
 
     @cached_property
     def _first(self) -> Column:
-        """Column of the policy ``_leaving``."""
+        """Column of a policy by which every run ends, at the goal if possible."""
         return self.measured(self._leaving)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:

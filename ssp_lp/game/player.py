@@ -182,7 +182,7 @@ def iterate_values(
         discount: gamma.
         weights: weights of the costs, non-negative, [costs].
         watched: weight of each node in the comparison of bounds, [nodes].
-        accuracy: relative distance of the two bounds to reach.
+        accuracy: relative distance of the two bounds at which the iteration ends.
     """
     pair_cost = costs @ weights
     values = np.zeros(dynamics.n_states)
@@ -460,7 +460,7 @@ class Player:
         Args:
             weights: weights of J_obj and J_cond, [2].
             watched: weight of each node in the comparison of bounds, [nodes].
-            accuracy: relative distance of the bounds to reach.
+            accuracy: relative distance of the bounds at which the iteration ends.
         """
         base = self.base
         costs = np.stack([base.gain_cost, base.failure], axis=1)

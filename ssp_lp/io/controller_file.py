@@ -161,8 +161,8 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
     for step, cost, then in zip(steps.tolist(), product.costs.tolist(), end.tolist(), strict=True):
         if after.setdefault(tuple(step), {}).setdefault(cost, then) != then:
             told = f"a step to state {product.original.states[step[3]]!r} at cost {cost:g}"
-            raise ModelError(f"a controller sees only states and costs; after {told} these leave "
-                             f"open whether the memory is {product.memories[then]!r}")  # fmt: skip
+            raise ModelError(f"a controller cannot know the policy's memory after {told}: "
+                             "give the outcomes different successors or costs")  # fmt: skip
     moves: list[list[Any]] = []
     for step, by_cost in after.items():
         if len(ends := set(by_cost.values())) > 1:

@@ -493,9 +493,10 @@ def is_split(problem: Problem, seconds: float = np.inf) -> bool:
 
 
 def with_split_costs(model: SSP, unit: Fraction) -> SSP:
-    """Return the model with each step's cost split between the two nearest multiples of a unit.
+    """Return the model in which each step costs one of the two nearest multiples of a unit.
 
-    The last step of an episode is not split, since no policy has to remember its cost.
+    The multiple is drawn at random so that the mean cost stays the same. The cost of an episode's
+    last step does not change, since no policy has to remember it.
 
     Args:
         model: the model.

@@ -218,10 +218,10 @@ def _rows_attempt(
     truth: Truth | None,
     before: Optimum[CompiledExplicit] | None,
 ) -> Optimum[CompiledExplicit]:
-    """Return the optimum of one search within the rows, with a bound proved at the final prices.
+    """Return the optimum of one search subject to all rows, with a bound proved at its last prices.
 
-    A search whose cap is only a guess (``is_guess``) ends at a coarse gap; its bound is proved only
-    if there is a time limit.
+    A search whose cap is only a guess (``is_guess``) ends at a coarse gap. Its bound is proved only
+    under a time limit, which may end the call before a search with a better cap.
 
     Args:
         stated: the problem.
@@ -734,7 +734,7 @@ def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> floa
 
 
 def limited_rows(compiled: CompiledExplicit) -> Rows:
-    """Return the limited rows of a problem, with scales of 1."""
+    """Return the rows of a problem that have a bound, each with scale 1."""
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
     ones, n_rewards = np.ones(limited.size), 1 + len(compiled.names)
     return Rows(1 + limited, compiled.bounds[limited], ones, n_rewards, compiled.by_goal)

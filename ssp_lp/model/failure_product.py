@@ -154,7 +154,10 @@ class FailureSSP(ProductSSP):
         return np.asarray(self._places[self.after[states] + 2 * taking, pairs])
 
     def giving_up_by(self, pairs: IntArray) -> IntArray:
-        """Return for each original pair its copy that gives up; -1: none, [entries]."""
+        """Return each original pair's copy in the product that also declares failure, [entries].
+
+        It is -1 where failure cannot be declared.
+        """
         return np.asarray(self._places[2, pairs])
 
     @cached_property

@@ -61,7 +61,7 @@ class Affine:
             ModelError: always.
         """
         raise ModelError(
-            f"{self!r} is compared, divided by or raised to a power: expressions must be affine"
+            f"{self!r} is used in a comparison, divisor or power: expressions must be affine"
         )
 
     __rtruediv__ = __pow__ = __rpow__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse

@@ -593,7 +593,10 @@ def within_steps(
 
 @with_twin
 def _unrolled(model: SSP, steps: int, begin: IntArray) -> tuple[IntArray, IntArray, dict[str, Any]]:
-    """Return the result of :func:`unfold` with steps as memory; ``steps + 1``: out of time."""
+    """Return the result of :func:`unfold` whose memory is the number of steps taken so far.
+
+    The memory ``steps + 1`` stands for "out of time".
+    """
     acting = np.diff(model.pair_offsets) > 0
     if accelerated(steps * model.n_outcomes, "graphs.find_layers", "graphs.fill_layers"):
         from ssp_lp.compiled.graphs import unroll

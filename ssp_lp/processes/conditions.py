@@ -94,7 +94,10 @@ Term = StepTerm | ArrivalTerm
 
 @dataclass(frozen=True, eq=False)
 class UpperRow:
-    """A row ``<coefficients, x> <= bound`` with terms of weights > 0 and a constant >= 0."""
+    """A row: the sum of weight * term over the terms, plus a constant >= 0, is at most the bound.
+
+    The weights are > 0, except in ``direct``.
+    """
 
     name: str
     text: str  # description of the limited quantity

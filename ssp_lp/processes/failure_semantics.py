@@ -124,7 +124,13 @@ class FailureSemantics:
         return self.measure is not None and self.measure.maximised
 
     def charge(self, ratio: bool) -> Charge | None:
-        """Return the charge of total costs at the goal; None in case M, except with a measure."""
+        """Return the charge of a run's total cost at the goal.
+
+        None in case M, unless the problem minimises a measure such as a quantile or a tail mean.
+
+        Args:
+            ratio: whether the objective is a cost given success (case S).
+        """
         if self.measure is not None:
             return self.measure.charge
         return TOTAL_COST if ratio else None

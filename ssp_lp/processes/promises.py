@@ -1,9 +1,9 @@
 """Promises: limits on the probability that single runs satisfy a bound or a task.
 
-For example, ``within(fuel, 10) >= 0.95`` means: with probability 0.95 the run reaches the goal and
-uses at most 10 units. The model is extended by the total so far (one value stands for all totals
-beyond the bound), or by the automaton of the task (:mod:`ssp_lp.model.tracked_product`). If there
-are too many totals, amounts are rounded to multiples of a unit. If they are rounded up, every
+For example, ``within(fuel, 10) >= 0.95`` means: with probability at least 0.95 the run reaches the
+goal and uses at most 10 units. The model is extended by the total so far (one value stands for all
+totals beyond the bound), or by the automaton of the task (:mod:`ssp_lp.model.tracked_product`). If
+there are too many totals, amounts are rounded to multiples of a unit. If they are rounded up, every
 policy that satisfies the rounded limit satisfies the stated limit. If they are rounded down, the
 optimum bounds the objective of every policy that satisfies the stated limit.
 """

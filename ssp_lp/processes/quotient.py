@@ -133,7 +133,7 @@ class Quotient:
     def placed(self, decision: IntArray) -> IntArray:
         """Translate decisions on states to pairs of the quotient, [nodes]; -1: no pair.
 
-        No component may be merged.
+        Each node of the quotient must stand for a single state (no component is merged).
 
         Args:
             decision: pair of the model for each state, negative for none, [states].

@@ -197,9 +197,9 @@ class Statement:
         semantics = problem.semantics
         charge = semantics.charge(problem.ratio)
         if isinstance(semantics.risk, TailMeanOf):
-            raise _refused(problem, f"it asks for a tail mean{_IN_MEMORY}")
+            raise _refused(problem, f"the question asks for a tail mean{_IN_MEMORY}")
         if problem.unrolled.model.failure_label is not None:
-            raise _refused(problem, f"it counts quantities after failing{_IN_MEMORY}")
+            raise _refused(problem, f"the question counts quantities after failing{_IN_MEMORY}")
         if problem.discount is not None and problem.reach_fraction is not None:
             both = Argument("reach_fraction"), " and ", Argument("discount")
             raise ModelError(f"{_NO_FILE} {type(problem).__name__} with ", *both)

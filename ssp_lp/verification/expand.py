@@ -86,7 +86,11 @@ class _Graph:
         return self.to[self.ends[k] : self.ends[k + 1]]
 
     def distances(self, allowed: Sequence[bool]) -> dict[int, int]:
-        """Return the least number of allowed actions to the goal, by state that can reach it."""
+        """Return for each state that can reach the goal the least number of steps to it.
+
+        Args:
+            allowed: whether a step may take each action, [actions].
+        """
         steps = dict.fromkeys(self.goal, 0)
         queue = list(steps)
         for y in queue:  # the queue grows in the loop

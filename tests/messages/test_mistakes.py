@@ -184,7 +184,7 @@ def test_a_policy_that_never_succeeds_has_no_cost_given_success():
         (lambda: evaluate(SOLUTION), r"pass solution\.policy and its problem"),
         (lambda: evaluate(SOLUTION.policy), "takes a problem"),
         (lambda: evaluate(PROBLEM, SOLUTION.policy), "takes a problem"),
-        (lambda: certify(PROBLEM), r"takes a solution, such as solve\(problem\)"),
+        (lambda: certify(PROBLEM), r"takes a solution from solve\(problem\)"),
         (lambda: save_solution(SOLUTION.policy, "nowhere"), "takes a solution"),
         (lambda: save_policy(SOLUTION, "nowhere"), "cannot be saved"),
         (lambda: load_policy("nowhere", PROBLEM), r"it has one: \.model"),

@@ -335,7 +335,7 @@ def test_a_controller_begins_with_the_visit_at_the_start(tmp_path):
     controller.observe("ward", 2.0)
     assert controller.action("ward") == "run"
     fast = solve(on_six(within(FUEL, 10) >= 0.9)).policy
-    refused("leave open whether the memory is", write_controller, fast, tmp_path / "none.json")
+    refused("cannot know the policy's memory", write_controller, fast, tmp_path / "none.json")
 
 
 @pytest.mark.slow

@@ -311,8 +311,8 @@ def test_a_proof_is_better_than_a_solution_that_was_cut_short(tmp_path):
     ("solution", "words"),
     [
         (MCMP(ROAD, "road", reach_fraction=0.9, discount=0.99), "MCMP with reach_fraction"),
-        (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: it asks for a tail mean; certify"),
-        (few("crash"), "MCMP: it counts quantities after failing; certify"),
+        (CVaR(ROAD, "road", 0.9, 0.05), "CVaR: the question asks for a tail mean; certify"),
+        (few("crash"), "MCMP: the question counts quantities after failing; certify"),
     ],
 )
 def test_what_is_not_covered_is_named(solution, words, tmp_path):

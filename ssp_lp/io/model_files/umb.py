@@ -231,7 +231,7 @@ class UmbArchive:
         if f"{_ACTIONS}values.bin" in self._files:
             codes = self._array(f"{_ACTIONS}values.bin", "<u4", self._n_choices).astype(np.int64)
         if codes.max(initial=0) >= len(words):
-            raise self._fault(f"there is no action {codes.max()}")
+            raise self._fault(f"action code {codes.max()}, but the file lists {len(words)} actions")
         return raw_model.distinct_actions([words[code] for code in codes.tolist()], self._pairs)
 
     def _stated(self, place: Any, name: str, kind: type, *default: Any) -> Any:

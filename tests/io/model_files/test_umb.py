@@ -136,7 +136,7 @@ def changed_system(**changes):
         (INDEX, {"choice-to-branches.bin": np.array([0, 9], "<u8")}, "from 0 to 5"),
         (INDEX, {"branch-to-target.bin": np.array([9, 2, 0, 1, 2], "<u8")}, "no state 9"),
         (INDEX, {"branch-to-probability.bin": b"1"}, "has 1 bytes, not 40"),
-        (INDEX, {"actions/choices/values.bin": np.array([2, 0, 0, 0], "<u4")}, "no action 2"),
+        (INDEX, {"actions/choices/values.bin": np.array([2, 0, 0, 0], "<u4")}, "code 2, but"),
         (INDEX, {"actions/choices/strings.bin": b"\xff\xff\xff"}, "is no UMB archive"),
         (INDEX, {"valuations/states/valuations.bin": b"123"}, "too short"),
         (
