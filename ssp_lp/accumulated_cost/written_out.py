@@ -156,9 +156,7 @@ def steps_of_layers(
 
 
 FIRST_LAYERS: Final = 64  # first cap of a charge that never settles
-MOST_AT_FIRST: Final = (
-    1_000  # most layers of a first cap, as a policy of higher cost may be a long shot
-)
+MOST_AT_FIRST: Final = 1_000  # layers of a first cap: a policy of higher cost may be a long shot
 TYPICAL: Final = 2.5  # first cap, in costs given success of a typical policy
 BEYOND: Final = 1e-9  # relative distance of a total that lies beyond another
 

@@ -68,7 +68,7 @@ from ssp_lp.programs.occupation_measure import (
     shares_of_visits,
 )
 
-_STEP, _FARTHEST = 1e-5, 1e3  # to the nearby numbers of one-sided derivatives; greatest step
+_STEP = 1e-5  # to the nearby numbers of one-sided derivatives
 _AGREES = 1e-4  # relative difference of a one-sided derivative and of optima
 _ACCURACY = 1e-6  # relative: of breakpoints, and of worths of outcomes that make up a value
 _BEYOND = 1e-12  # probability of success beyond the last total that is distinguished
@@ -636,11 +636,11 @@ class _Optimum:
         The program charges such successes too little. It is 0 if the lottery is the only optimal
         one, or if the other ones are not compared.
         """
-        program, own = self.measure.program, self.measure.program.augmented
+        program = self.measure.program
         if self.is_unique or self.optima is None:
             return 0.0
-        is_last = own.part.pairs // max(own.width, 1) == own.copies - 1
-        return -self.optima(np.append(np.where(is_last, -program.process.goal, 0.0), 0.0))
+        late = np.where(program.augmented.in_last_copy, program.process.goal, 0.0)
+        return -self.optima(np.append(-late, 0.0))
 
     def sides(self, change: Change) -> tuple[float, float] | None:
         """Return the derivatives to the left and right in the direction of a change.
@@ -681,6 +681,7 @@ class _Optimum:
         sides = list[float]()
         for sign in (-1.0, 1.0):
             taken = sign * np.append(per, fixed)
+            # ``cheapest`` is empty if failing steps are not charged
             for (weight, costs, tied), moves in zip(self.cheapest, own, strict=False):
                 mean = segment_sums(rises * costs.costs + moves, model.outcome_offsets)
                 charge = segment_minima(np.where(tied, sign * mean, np.inf), model.pair_offsets)
@@ -858,7 +859,7 @@ class WhatIf(Report):
             change: the direction.
             sign: 1 for steps in this direction, -1 for steps in the opposite direction.
         """
-        end = min(change.most(self.problem, sign), _FARTHEST)
+        end = min(change.most(self.problem, sign), 1e3)  # farther ones are not sought
 
         def stays(step: float) -> bool:
             """Return whether the same pairs are used and the same rows have prices after a step."""

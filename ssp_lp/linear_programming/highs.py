@@ -60,7 +60,7 @@ def solve_with_highs(
     solver = _solved_by_highs(program, backend, time_limit, basis)
     answer, bounds = _answer(solver, backend), np.stack([program.lower, program.upper])
     greatest = np.abs(bounds[np.isfinite(bounds)]).max(initial=0.0)
-    is_small = _MAGNIFIED * greatest < solver.getInfinity()
+    is_small = _MAGNIFIED * greatest < solver.getOptionValue("infinite_bound")[1]
     if basis is not None and is_small and solver.getModelStatus() == _OPTIMAL:
         solver.setOptionValue("solver", "simplex")
         solver.setOptionValue("simplex_iteration_limit", len(program.lower))

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from math import hypot, sqrt
+from math import hypot, isinf, sqrt
 from typing import Any
 
 import numpy as np
@@ -47,7 +47,6 @@ from ssp_lp.solution import CUT_SHORT, Answer, Run, Solution, assembled
 
 _ROUGH = SolveOptions(1e-3)  # tolerance in case M, whose policy is not optimal anyway
 _NOTHING = 1e-290  # a smaller bound is 0
-_MOST_SQUARED = 1e150  # means up to it have a finite square
 _VARIANCE = 1e-6  # rounding error of a standard deviation, relative to the mean
 _MOMENTS = "its objective is a bound by mean and variance: the exact value takes longer"
 _DEAREST = 1.0 - 1e-12  # factor of the least total that covers the rounding of its sums
@@ -204,7 +203,7 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
         square = chain.accumulate(chain.per_node(chain.cost * later), chain.alive)
         squares += weight * float(chain.start @ square)
     goal, mean = evaluation.goal_probability, evaluation.conditional_cost
-    if goal == 0.0 or mean > _MOST_SQUARED:
+    if goal == 0.0 or isinf(mean * mean):
         return replace(evaluation, objective=np.nan)
     spread = sqrt(max(squares / goal - mean**2, 0.0) + (_VARIANCE * mean) ** 2)
     if risk is not None:

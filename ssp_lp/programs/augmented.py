@@ -132,6 +132,12 @@ class AugmentedProcess(ABC):
         """Number of pairs in each copy of the model without goals and dead-ends."""
         return len(self.quotient.pair_at)
 
+    @property
+    def in_last_copy(self) -> BoolArray:
+        """Mask of the process's pairs in the last of several copies, at the cap or above."""
+        in_last = self.part.pairs // max(self.width, 1) == self.copies - 1
+        return np.asarray(in_last & (self.copies > 1))
+
     def in_all_copies(self, values: FloatArray) -> FloatArray:
         """Extend values of the process's pairs to all pairs of all copies.
 

@@ -145,11 +145,8 @@ class OccupationMeasure:
         The program underestimates the cost of these runs, as it charges them the cap only. If the
         probability is not small, give the problem a greater ``cost_cap``.
         """
-        augmented = self.program.augmented
-        if augmented.copies == 1:
-            return 0.0
-        last = augmented.part.pairs // max(augmented.width, 1) == augmented.copies - 1
-        return float(self.program.process.goal[last] @ self.visits[last])
+        late = self.program.augmented.in_last_copy
+        return float(self.program.process.goal[late] @ self.visits[late])
 
     @property
     def gap(self) -> float:

@@ -456,3 +456,17 @@ def test_steps_are_counted_alike_by_compiled_loops_and_by_numpy(model, steps, ac
         assert solution.gap <= 1e-12
         assert solution.goal_probability == pytest.approx(reached[0], rel=1e-12, abs=0.0)
         assert certify(solution).accepted
+
+
+def test_what_a_subclass_derives_from_the_model_follows_the_product() -> None:
+    """``__post_init__`` of the subclass counts the states of the model, and then of the product."""
+
+    class Counting(MCMP):
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            object.__setattr__(self, "counted", self.model.n_states)
+
+    model = model_of({"a": {"go": [(0.5, "a", 1.0), (0.5, "g", 1.0)]}})
+    problem: Any = Counting(model, "a", 1.0, horizon=3)
+    assert problem.counted == model.n_states
+    assert problem.unrolled.counted == problem.unrolled.model.n_states > model.n_states

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, strategies as st
 
 from checks import CLOSE, budget_of, check_bounds, check_evaluation, library_model, plain
@@ -14,6 +15,8 @@ from references import mcmp, s3p
 from references.frontier import least_failure
 from small_models import model_of
 from ssp_lp import LinearProgramming, solve
+from ssp_lp.linear_programming.backends import LinearProgram
+from ssp_lp.linear_programming.highs import solve_with_highs
 from strategies import discounts, often, problems
 from written_models import written
 
@@ -116,3 +119,14 @@ def test_an_unreachable_loop_that_is_hardly_left(backend):
     ):
         found = solve(problem, method=LinearProgramming(backend))
         assert found.objective == pytest.approx(best, rel=1e-12 if best == 1.0 else 1e-6)
+
+
+@pytest.mark.parametrize("bound", [1.0, 1e14, 1e16])
+def test_a_start_at_a_basis_keeps_large_bounds(bound):
+    """Two columns have a given sum, which is infinite for HiGHS once it is magnified."""
+    rows = {"sum": slice(0, 1)}
+    side, matrix = np.array([bound]), sp.csc_array(np.ones((1, 2)))
+    program = LinearProgram(np.ones(2), matrix, side, side, rows)
+    basis = np.array([True, False, False])
+    answer = solve_with_highs(program, "highs-simplex", np.inf, basis)
+    assert answer.x.sum() == pytest.approx(bound, rel=1e-9)
