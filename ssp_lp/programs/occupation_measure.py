@@ -145,8 +145,7 @@ class OccupationMeasure:
         The program underestimates the cost of these runs, as it charges them the cap only. If the
         probability is not small, give the problem a greater ``cost_cap``.
         """
-        late = self.program.augmented.in_last_copy
-        return float(self.program.process.goal[late] @ self.visits[late])
+        return float(self.program.process.goal @ (self.visits * self.program.augmented.in_last_copy))
 
     @property
     def gap(self) -> float:
