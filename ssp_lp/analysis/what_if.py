@@ -639,7 +639,7 @@ class _Optimum:
         program = self.measure.program
         if self.is_unique or self.optima is None:
             return 0.0
-        late = np.where(program.augmented.in_last_copy, program.process.goal, 0.0)
+        late = np.where(program.augmented.is_late, program.process.goal, 0.0)
         return -self.optima(np.append(-late, 0.0))
 
     def sides(self, change: Change) -> tuple[float, float] | None:

@@ -133,7 +133,7 @@ class AugmentedProcess(ABC):
         return len(self.quotient.pair_at)
 
     @property
-    def in_last_copy(self) -> BoolArray:
+    def is_late(self) -> BoolArray:
         """Mask of the process's pairs in the last of several copies, at the cap or above."""
         in_last = self.part.pairs // max(self.width, 1) == self.copies - 1
         return np.asarray(in_last & (self.copies > 1))

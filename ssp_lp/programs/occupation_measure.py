@@ -145,7 +145,7 @@ class OccupationMeasure:
         The program underestimates the cost of these runs, as it charges them the cap only. If the
         probability is not small, give the problem a greater ``cost_cap``.
         """
-        return float(self.program.process.goal @ (self.visits * self.program.augmented.in_last_copy))
+        return float(self.program.process.goal @ (self.visits * self.program.augmented.is_late))
 
     @property
     def gap(self) -> float:
